@@ -1,0 +1,111 @@
+"""Turn what an installer knows (SITE.json, the body of a sensor in the API) into a sensor configuration.
+
+One schema for the file, the API and the control records of the log; angles in degrees, as on every wire.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.tracking.parameters import SensorModel, TrackerParameters
+
+SensorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", examples=["radar-1"])]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Schema(BaseModel):
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class Region(_Schema):
+    """Where vehicles are tracked, in the sensor's plan frame."""
+
+    range_min_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 20.0
+    range_max_m: Positive = 150.0
+    azimuth_max_deg: Annotated[float, Field(gt=0, le=90)] = 45.0
+
+
+class Resolution(_Schema):
+    """Widths of the radar's resolution cells."""
+
+    range_m: Positive = 0.75
+    velocity_mps: Positive = 0.25
+    azimuth_deg: Positive = 1.5
+
+
+class NoiseStd(_Schema):
+    """Standard deviations of a detection at `at_snr_db`."""
+
+    range_m: Positive = 0.15
+    velocity_mps: Positive = 0.10
+    azimuth_deg: Positive = 0.3
+    azimuth_floor_deg: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.1
+    at_snr_db: Finite = 20.0
+
+
+class CountLine(_Schema):
+    """A line across the road; vehicles are counted as their centre crosses it."""
+
+    line_id: Annotated[str, Field(min_length=1, max_length=64)]
+    p0: tuple[Finite, Finite]
+    p1: tuple[Finite, Finite]
+
+
+class SensorConfig(_Schema):
+    """A radar as mounted: pose, conventions, noise, region, count lines, and how it is tracked."""
+
+    sensor_id: SensorId = "radar-1"
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    longitude_deg: Annotated[float, Field(ge=-180, le=180)] | None = None
+    heading_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0  # boresight, clockwise from north
+    rate_hz: Annotated[float, Field(gt=0, le=200)] = 20.0
+    mount_height_m: Annotated[float, Field(ge=0, le=100)] = 6.0
+    scatter_height_m: Annotated[float, Field(ge=0, le=20)] = 0.6
+    azimuth_offset_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0  # added to each measured azimuth
+    azimuth_positive: Literal["right", "left"] = "right"
+    radial_velocity_positive: Literal["receding", "approaching"] = "receding"
+    travel_heading_deg: Annotated[float, Field(ge=-360, le=360)] | None = None
+    region: Region = Region()
+    resolution: Resolution = Resolution()
+    noise_std: NoiseStd = NoiseStd()
+    detection_threshold_db: Finite = 12.0
+    count_lines: tuple[CountLine, ...] = ()
+    filter: str = "astekf"
+    parameters: dict[str, str] = {}  # dotted key -> text, as in `wayside track --set key=value`
+
+    def sensor_model(self) -> SensorModel:
+        """Return the part of the configuration that the tracking core needs, in radians."""
+        return SensorModel(
+            rate_hz=self.rate_hz,
+            mount_height_m=self.mount_height_m,
+            scatter_height_m=self.scatter_height_m,
+            azimuth_offset_rad=math.radians(self.azimuth_offset_deg),
+            range_min_m=self.region.range_min_m,
+            range_max_m=self.region.range_max_m,
+            azimuth_max_rad=math.radians(self.region.azimuth_max_deg),
+            range_resolution_m=self.resolution.range_m,
+            velocity_resolution_mps=self.resolution.velocity_mps,
+            azimuth_resolution_rad=math.radians(self.resolution.azimuth_deg),
+            range_std_m=self.noise_std.range_m,
+            velocity_std_mps=self.noise_std.velocity_mps,
+            azimuth_std_rad=math.radians(self.noise_std.azimuth_deg),
+            azimuth_floor_rad=math.radians(self.noise_std.azimuth_floor_deg),
+            noise_snr_db=self.noise_std.at_snr_db,
+            detection_threshold_db=self.detection_threshold_db,
+        )
+
+    def tracker_parameters(self) -> TrackerParameters:
+        """Return the tracker's parameters with this configuration's overrides; raises InvalidInput on a bad one."""
+        parameters = TrackerParameters(sensor=self.sensor_model(), filter=self.filter)
+        for key in sorted(self.parameters):
+            parameters = parameters.with_setting(key, self.parameters[key])
+        return parameters
+
+    def canonical_json(self) -> str:
+        """Return the configuration as one line of JSON with sorted keys, as control records keep it."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))

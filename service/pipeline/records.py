@@ -1,0 +1,35 @@
+"""The three kinds of record in a sensor's log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from service.tracking.model import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """One accepted frame; `late` and duplicate frames are logged too, the fold decides by log order."""
+
+    frame: Frame
+    received_us: int  # host time at the door; evidence only, the fold never uses it
+
+
+@dataclass(frozen=True, slots=True)
+class ControlRecord:
+    """A change of the sensor's configuration that takes effect between two frames.
+
+    `config` is the whole new configuration as canonical JSON (formats.sensor.SensorConfig)."""
+
+    config: str
+    received_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class TickRecord:
+    """Time goes on without frames: last frame time + 1 s, + 2 s, ... Ticks coast and delete tracks and flush the reorder buffer."""
+
+    time_us: int
+
+
+Record = FrameRecord | ControlRecord | TickRecord

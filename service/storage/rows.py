@@ -1,0 +1,92 @@
+"""The rows that the fold produces and the database keeps; plain values, no SQL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+STATE_SAMPLE = np.dtype(
+    [
+        ("x_m", "<f4"),
+        ("y_m", "<f4"),
+        ("vx_mps", "<f4"),
+        ("vy_mps", "<f4"),
+        ("std_x_m", "<f2"),
+        ("std_y_m", "<f2"),
+        ("lane", "u1"),
+        ("status", "u1"),  # tracking.model.TrackStatus
+        ("frame_offset", "<u2"),  # frame number less the block's first
+        ("time_offset_ms", "<u2"),  # time less the block's second
+    ]
+)  # 26 bytes a sample; half precision keeps a standard deviation to three digits
+
+
+@dataclass(frozen=True, slots=True)
+class TrackKey:
+    """Identity of a track; the public track_id is "<sensor>-<epoch>-<number>"."""
+
+    sensor_id: str
+    epoch: int
+    number: int
+
+    def __str__(self) -> str:
+        return f"{self.sensor_id}-{self.epoch}-{self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class StateBlock:
+    """The states of one track inside one whole second; written once, a repeat changes nothing."""
+
+    key: TrackKey
+    second: int  # seconds since 1970
+    first_frame: int
+    samples: bytes  # array of STATE_SAMPLE
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSummary:
+    """What is known of a track so far; a later `as_of` (log position) replaces an earlier one."""
+
+    key: TrackKey
+    as_of: int
+    ended: bool
+    first_time_us: int
+    last_time_us: int
+    first_frame: int
+    last_frame: int
+    states: int
+    hits: int
+    length_m: float | None
+    width_m: float | None
+    length_class: str | None  # motorcycle, short, medium, long
+    existence: float
+    first_x_m: float
+    first_y_m: float
+    last_x_m: float
+    last_y_m: float
+    distance_m: float
+    mean_speed_mps: float
+    max_speed_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class EventRow:
+    """Something that happened at a sensor, such as a restart of its tracker."""
+
+    sensor_id: str
+    epoch: int
+    number: int  # counter inside the epoch
+    as_of: int
+    kind: str  # for example "tracker_restarted"
+    time_us: int
+    detail: dict[str, str | int | float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """What one or more folded records add to the database."""
+
+    blocks: tuple[StateBlock, ...] = ()
+    tracks: tuple[TrackSummary, ...] = ()
+    events: tuple[EventRow, ...] = ()
