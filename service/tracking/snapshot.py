@@ -1,8 +1,8 @@
 """Turn a state (nested frozen dataclasses of arrays and plain values) into bytes, and back, exact to the bit.
 
-The type hints drive both ways, so the bytes hold values only. Ahead of them stands a fingerprint of the schema
-(names and types of every field, all the way down): a state of another build of the code is refused, not misread.
-A digest over the values tells damage. The same state gives the same bytes.
+The type hints drive both ways, so the bytes hold values only. Ahead of them stands a fingerprint of the
+schema (names and types of every field, all the way down): a state of another build of the code is refused,
+not misread. A digest over the values tells damage. The same state gives the same bytes.
 
 Layout, little endian: magic, version, fingerprint, digest, then the values depth first.
 
@@ -55,7 +55,7 @@ def dump(state: object) -> bytes:
 
 
 def load(kind: type[T], data: bytes) -> T:
-    """Return the state of type `kind` that `dump` wrote; raises SnapshotUnreadable when it is something else."""
+    """Return the state of type `kind` that `dump` wrote; raises SnapshotUnreadable on anything else."""
     if len(data) < _HEADER.size:
         raise SnapshotUnreadable(f"a snapshot has at least {_HEADER.size} bytes, got {len(data)}")
     magic, version, fingerprint, digest = _HEADER.unpack_from(data)
