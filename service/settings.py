@@ -1,0 +1,59 @@
+"""Everything that can be set from outside, in one place: `WAYSIDE_<NAME>` in the environment or in a file `.env`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import ByteSize, Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+PositiveBytes = Annotated[ByteSize, Field(gt=0)]
+PositiveSeconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Days = Annotated[int, Field(ge=1, le=36_500)]
+
+
+class Settings(BaseSettings):
+    """The settings of one process, with their defaults. Sizes accept units, such as "2GiB"."""
+
+    model_config = SettingsConfigDict(env_prefix="WAYSIDE_", env_file=".env", extra="ignore", frozen=True)
+
+    data_dir: Path = Path("data")  # the log, and the database unless `database_url` names another
+    database_url: str | None = None  # sqlite:///path or postgresql://...
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65_535)] = 8000  # 0: any free one
+    allowed_hosts: tuple[
+        str, ...
+    ] = ()  # names accepted in the Host header besides the loopback's; empty: see api
+    body_limit_bytes: PositiveBytes = ByteSize(16 * 2**20)  # of one request, after decompression
+    clock_ahead_limit_s: PositiveSeconds = (
+        60.0  # frames whose time is further ahead of the host's are refused
+    )
+
+    log_limit_bytes: PositiveBytes = ByteSize(2 * 2**30)  # of all sensors together; the oldest segments go
+    log_segment_bytes: PositiveBytes = ByteSize(256 * 2**20)
+    disk_free_min_share: Annotated[float, Field(ge=0, lt=1)] = 0.05  # below it frames get 503
+
+    flush_interval_s: PositiveSeconds = 1.0  # rows and cursor together
+    snapshot_interval_s: PositiveSeconds = 10.0  # state, whichever of the two comes first
+    snapshot_frames: Annotated[int, Field(ge=1)] = 200
+
+    # Retention counts from the day on which a row was stored, not from the time it speaks of.
+    states_days: Days = 7
+    tracks_days: Days = 400
+    events_days: Days = 400
+    upkeep_interval_s: PositiveSeconds = 3600.0
+
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["auto", "console", "json"] = "auto"  # auto: console on a terminal, else JSON
+
+    @property
+    def rows_url(self) -> str:
+        """The address of the database: the one set, else a SQLite file in the data directory."""
+        return self.database_url or f"sqlite:///{self.data_dir / 'rows.sqlite'}"
+
+    @property
+    def log_dir(self) -> Path:
+        """Where the embedded log keeps its segments."""
+        return self.data_dir / "log"
