@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 
 from service.storage.tables import metadata
 
-# Partitions of PostgreSQL come and go with the days (storage/upkeep.py); the tables of the code do not name them.
+# Partitions of PostgreSQL come and go with the days (storage/upkeep.py); the code's tables do not name them.
 _PARTITION = re.compile(r"track_states_(\d{8}|default)")
 
 

@@ -1,4 +1,4 @@
-"""Everything that can be set from outside, in one place: `WAYSIDE_<NAME>` in the environment or in a file `.env`."""
+"""Everything that can be set from outside: `WAYSIDE_<NAME>` in the environment or in a file `.env`."""
 
 from __future__ import annotations
 

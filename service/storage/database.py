@@ -1,6 +1,7 @@
 """Open the database and hand out its transactions: the only module that commits.
 
-SQLite (embedded): one file in write-ahead mode, one writer at a time, readers never wait. PostgreSQL: by psycopg.
+SQLite (embedded): one file in write-ahead mode, one writer at a time, readers never wait. PostgreSQL:
+psycopg.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ _UNCHECKED: Final = "wayside_unchecked"
 def open_database(url: str) -> Engine:
     """Return the engine of `sqlite:///path` or `postgresql://...`; the folder of a SQLite file is made.
 
-    Raises StorageError when the address cannot be used. Nothing is created in the database: `migrate.upgrade` does.
+    Raises StorageError when the address cannot be used. Makes no tables: `migrate.upgrade` does.
     """
     try:
         address = make_url(url)
@@ -77,7 +78,7 @@ def connection(engine: Engine) -> Iterator[Connection]:
     """Yield a connection that reads one consistent state of the database; what it writes is rolled back."""
     with _translated(), engine.connect() as reader:
         if is_postgresql(reader):
-            reader = reader.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
+            reader.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
         yield reader
 
 
@@ -101,7 +102,7 @@ def insert_or_advance(
     insert = _insert(connection, table)
     target = metadata.tables[table]
     key = [column.name for column in target.primary_key]
-    replaced = {name: insert.excluded[name] for name in target.c.keys() if name not in keep | set(key)}
+    replaced = {c.name: insert.excluded[c.name] for c in target.columns if c.name not in keep.union(key)}
     newer = insert.excluded.as_of > target.c.as_of
     return insert.on_conflict_do_update(index_elements=key, set_=replaced, where=newer)
 
@@ -150,8 +151,8 @@ def _begin_sqlite(connection: Connection) -> None:
     options = connection.get_execution_options()
     # Has no effect inside a transaction, so it is said before each.
     connection.exec_driver_sql(f"PRAGMA foreign_keys = {'OFF' if options.get(_UNCHECKED) else 'ON'}")
-    # A transaction that reads first and then writes cannot wait for another writer (its view is old by then), so one
-    # that will write takes its turn at once.
+    # A transaction that reads first and then writes cannot wait for another writer (its view is old by then),
+    # so one that will write takes its turn at once.
     connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get(_WRITING) else "BEGIN")
 
 

@@ -1,6 +1,6 @@
 """API keys: a secret is shown once and kept as its SHA-256; scopes say what it opens.
 
-SHA-256 without salt or stretching is enough here: the secret has 256 random bits, so there is nothing to guess.
+SHA-256 without salt or stretching is enough: the secret has 256 random bits, so there is nothing to guess.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
-from sqlalchemy import Connection, Row, insert, or_, select, update
+from sqlalchemy import Connection, RowMapping, insert, or_, select, update
 
 from service.errors import InvalidInput, NotFound
 from service.storage.page import Page, check_limit, cut, read_cursor
@@ -80,13 +80,13 @@ def create_key(
 def find_key(connection: Connection, secret: str) -> ApiKey | None:
     """Return the valid key with this secret, None when there is none or it was revoked."""
     query = select(api_keys).where(api_keys.c.digest == _digest(secret), api_keys.c.revoked_us.is_(None))
-    row = connection.execute(query).one_or_none()
+    row = connection.execute(query).mappings().one_or_none()
     return None if row is None else _api_key(row)
 
 
 def read_key(connection: Connection, key_id: str) -> ApiKey:
     """Return a key, revoked or not; raises NotFound."""
-    row = connection.execute(select(api_keys).where(api_keys.c.key_id == key_id)).one_or_none()
+    row = connection.execute(select(api_keys).where(api_keys.c.key_id == key_id)).mappings().one_or_none()
     if row is None:
         raise NotFound(f"no key {key_id}")
     return _api_key(row)
@@ -109,7 +109,7 @@ def list_keys(
         query = query.where(
             or_(order[0] > created_us, (order[0] == created_us) & (order[1] > key_id)),
         )
-    found = [_api_key(row) for row in connection.execute(query)]
+    found = [_api_key(row) for row in connection.execute(query).mappings()]
     return cut(found, limit, lambda key: (key.created_us, key.key_id))
 
 
@@ -149,8 +149,8 @@ def _digest(secret: str) -> bytes:
     return hashlib.sha256(secret.encode()).digest()
 
 
-def _api_key(row: Row[tuple[object, ...]]) -> ApiKey:
-    fields = dict(row._mapping)
+def _api_key(row: RowMapping) -> ApiKey:
+    fields = dict(row)
     del fields["digest"]
     bound = fields.pop("sensor_ids")
     return ApiKey(

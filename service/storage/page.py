@@ -1,6 +1,7 @@
 """One page of a long list and the opaque cursor that continues it (keyset paging).
 
-The cursor holds the sort key of the last item given, so rows that come or go meanwhile neither repeat nor hide others.
+The cursor holds the sort key of the last item given, so rows that come or go meanwhile neither repeat nor
+hide others.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def write_cursor(key: Key) -> str:
     return base64.urlsafe_b64encode(json.dumps(key, separators=(",", ":")).encode()).decode().rstrip("=")
 
 
-def read_cursor(text: str, *kinds: type[str] | type[int]) -> Key:
+def read_cursor(text: str, *kinds: type[str | int]) -> Key:
     """Return the sort key of a cursor; raises InvalidInput when it is not one of this list."""
     try:
         padded = text.encode("ascii") + b"=" * (-len(text) % 4)

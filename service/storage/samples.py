@@ -1,8 +1,9 @@
 """Pack the samples of a state block into the bytes that the database keeps, and back, without loss.
 
-The measured numbers of a sample (position, velocity, deviations: 20 of its 26 bytes) are noise to a compressor and
-stay as they are; lane, status and the two offsets hardly change from one sample to the next, so their differences
-deflate to almost nothing. Layout: number of samples (u2, little-endian), the measured bytes, the deflated rest.
+The measured numbers of a sample (position, velocity, deviations: 20 of its 26 bytes) are noise to a
+compressor and stay as they are; lane, status and the two offsets hardly change from one sample to the next,
+so that their differences deflate to almost nothing. Layout: number of samples (u2, little-endian), the
+measured bytes, the deflated rest.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What the host must find again after a restart: per sensor the epoch, the read position and the snapshot.
 
-A shard is one sensor's share of the log. Its rows and its cursor are written in one transaction (`save_flush`); a
-snapshot never runs ahead of the cursor, so that every row behind it is stored.
+A shard is one sensor's share of the log. Its rows and its cursor are written in one transaction
+(`save_flush`); a snapshot never runs ahead of the cursor, so that every row behind it is stored.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def load_shard(connection: Connection, sensor_id: str) -> Shard | None:
     return Shard(sensor_id, row.epoch, row.epoch_first_position, row.cursor, snapshot)
 
 
-def begin_epoch(
+def begin_epoch(  # noqa: PLR0913 - all by name
     connection: Connection, sensor_id: str, *, first_position: int, reason: str, time_us: int, now_us: int
 ) -> Shard:
     """Open the next epoch, to be folded from `first_position` with an empty state; the first is epoch 1.
@@ -91,9 +91,9 @@ def begin_epoch(
 def save_flush(connection: Connection, shard: Shard, position: int, rows: Rows, *, now_us: int) -> Shard:
     """Write rows and the position up to which they are complete, and return the shard as it stands then.
 
-    After a restart records behind the cursor are folded again; their rows have no effect and the cursor stays.
-    Raises StorageError when the stored cursor is not the shard's: another process took over, and the caller must roll
-    back and let go.
+    After a restart records behind the cursor are folded again: their rows have no effect, the cursor stays.
+    Raises StorageError when the stored cursor is not the shard's: another process took over, and the caller
+    must roll back and let go.
     """
     ordinal = ordinal_of(connection, shard.sensor_id)
     cursor = max(position, shard.cursor)
@@ -126,8 +126,8 @@ def save_snapshot(connection: Connection, shard: Shard, snapshot: Snapshot, *, n
     ).one_or_none()
     if held is None or held.cursor < snapshot.position:
         raise StorageError(
-            f"a snapshot of {shard.sensor_id} at {snapshot.position} in epoch {shard.epoch} does not fit the stored "
-            f"cursor {None if held is None else held.cursor}"
+            f"a snapshot of {shard.sensor_id} at {snapshot.position} in epoch {shard.epoch} does not fit "
+            f"the stored cursor {None if held is None else held.cursor}"
         )
     connection.execute(delete(snapshots).where(snapshots.c.sensor == ordinal))
     connection.execute(

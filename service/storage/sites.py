@@ -1,7 +1,7 @@
 """Sites and their sensors: create, read, change, archive.
 
-Nothing is deleted: an archived site or sensor disappears from lists, what was recorded stays readable, and its id is
-never given again.
+Nothing is deleted: an archived site or sensor disappears from lists, what was recorded stays readable, and
+its id is never given again.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
-from sqlalchemy import Connection, Row, select, update
+from sqlalchemy import Connection, RowMapping, select, update
 
 from service.errors import Conflict, InvalidInput, NotFound
 from service.formats.sensor import SensorConfig
@@ -93,12 +93,14 @@ def create_site(  # noqa: PLR0913 - the fields of a site
 
 def read_site(connection: Connection, site_id: str) -> Site:
     """Return a site that is not archived; raises NotFound."""
-    row = connection.execute(
-        select(sites).where(sites.c.site_id == site_id, sites.c.archived_us.is_(None))
-    ).one_or_none()
+    row = (
+        connection.execute(select(sites).where(sites.c.site_id == site_id, sites.c.archived_us.is_(None)))
+        .mappings()
+        .one_or_none()
+    )
     if row is None:
         raise NotFound(f"no site {site_id}")
-    return Site(**row._mapping)
+    return Site(**row)
 
 
 def list_sites(
@@ -114,7 +116,7 @@ def list_sites(
         query = query.where(sites.c.archived_us.is_(None))
     if cursor is not None:
         query = query.where(sites.c.site_id > read_cursor(cursor, str)[0])
-    found = [Site(**row._mapping) for row in connection.execute(query)]
+    found = [Site(**row) for row in connection.execute(query).mappings()]
     return cut(found, limit, lambda site: (site.site_id,))
 
 
@@ -169,7 +171,7 @@ def read_sensor(connection: Connection, sensor_id: str, *, include_archived: boo
     query = select(sensors).where(sensors.c.sensor_id == sensor_id)
     if not include_archived:
         query = query.where(sensors.c.archived_us.is_(None))
-    row = connection.execute(query).one_or_none()
+    row = connection.execute(query).mappings().one_or_none()
     if row is None:
         raise NotFound(f"no sensor {sensor_id}")
     return _sensor(row)
@@ -191,7 +193,7 @@ def list_sensors(
         query = query.where(sensors.c.archived_us.is_(None))
     if cursor is not None:
         query = query.where(sensors.c.sensor_id > read_cursor(cursor, str)[0])
-    found = [_sensor(row) for row in connection.execute(query)]
+    found = [_sensor(row) for row in connection.execute(query).mappings()]
     return cut(found, limit, lambda sensor: (sensor.sensor_id,))
 
 
@@ -232,7 +234,7 @@ def archive_sensor(connection: Connection, sensor_id: str, *, now_us: int) -> No
 
 def ordinal_of(connection: Connection, sensor_id: str) -> int:
     """Return the integer that stands for a sensor, archived or not, in the large tables; raises NotFound."""
-    ordinal = connection.scalar(select(sensors.c.ordinal).where(sensors.c.sensor_id == sensor_id))
+    ordinal: int | None = connection.scalar(select(sensors.c.ordinal).where(sensors.c.sensor_id == sensor_id))
     if ordinal is None:
         raise NotFound(f"no sensor {sensor_id}")
     return ordinal
@@ -247,8 +249,8 @@ def _require_site(connection: Connection, site_id: str | None) -> None:
         raise InvalidInput.at("/site_id", str(error)) from error
 
 
-def _sensor(row: Row[tuple[object, ...]]) -> Sensor:
-    fields = dict(row._mapping)
+def _sensor(row: RowMapping) -> Sensor:
+    fields = dict(row)
     del fields["longest_track_us"]
     config = SensorConfig.model_validate_json(fields.pop("config"))
     return Sensor(config=config, **fields)

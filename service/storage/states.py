@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, select
 
 from service.storage.database import connection as reading
-from service.storage.sites import ordinal_of
 from service.storage.samples import unpack_array
+from service.storage.sites import ordinal_of
 from service.storage.tables import track_states
 
 STREAM_SECONDS: Final = 10  # of one read: 12,000 samples of 60 tracks at 20 Hz, about 0.3 MB
@@ -45,7 +45,7 @@ def stream_states(engine: Engine, sensor_id: str, start_us: int, end_us: int) ->
 
 
 def _stream(engine: Engine, sensor: tuple[str, int], start_us: int, end_us: int) -> Iterator[StateFrame]:
-    sensor_id, ordinal = sensor
+    _, ordinal = sensor
     second, end = start_us // _US_PER_S, -(-end_us // _US_PER_S)
     while second < end:
         with reading(engine) as connection:

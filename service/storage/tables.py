@@ -1,8 +1,8 @@
 """The tables of the database, for SQLite and PostgreSQL alike (SQLAlchemy Core throughout).
 
-Core also for the few rows of configuration: one way to read and write, no identity map, and functions that return
-plain frozen values. Times are integers since 1970, UTC: microseconds (`_us`), whole seconds (`second`) or days
-(`stored_day`, the host's clock when the row was first written, which is what retention counts from).
+Core also for the few rows of configuration: one way to read and write, no identity map, and functions that
+return plain frozen values. Times are integers since 1970, UTC: microseconds (`_us`), whole seconds (`second`)
+or days (`stored_day`, the host's clock when the row was first written: what retention counts from).
 """
 
 from __future__ import annotations
@@ -130,9 +130,9 @@ tracks = Table(
     Index("ix_tracks_stored_day", "stored_day"),
 )
 
-# On SQLite a table in order of arrival with the key as an index beside it: blocks of several sensors fill whole pages
-# (they would split pages half-full inside a WITHOUT ROWID tree), and the oldest lie together when they expire. No
-# foreign key: the ordinal comes from `sensors` in the same transaction, and this is the busiest table.
+# On SQLite a table in order of arrival with the key as an index beside it: pages fill up whatever the number
+# of sensors, and the blocks that expire together lie together. No foreign key: the ordinal comes from
+# `sensors` in the same transaction, and this is the busiest table.
 track_states = Table(
     "track_states",
     metadata,

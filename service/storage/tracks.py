@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import Connection, Engine, Row, Select, func, select, tuple_, update
+from sqlalchemy import Connection, Engine, RowMapping, Select, func, select, tuple_, update
 
 from service.errors import NotFound
 from service.storage.database import connection as reading
@@ -103,7 +103,7 @@ def read_track(connection: Connection, key: TrackKey) -> TrackSummary:
     query = _summaries().where(
         sensors.c.sensor_id == key.sensor_id, tracks.c.epoch == key.epoch, tracks.c.number == key.number
     )
-    row = connection.execute(query).one_or_none()
+    row = connection.execute(query).mappings().one_or_none()
     if row is None:
         raise NotFound(f"no track {key}")
     return _summary(row)
@@ -134,15 +134,15 @@ def list_tracks(
         first_time_us, sensor_id, epoch, number = read_cursor(cursor, int, str, int, int)
         after = (first_time_us, ordinal_of(connection, str(sensor_id)), epoch, number)
         statement = statement.where(tuple_(*_BY_TIME) > after)
-    found = [_summary(row) for row in connection.execute(statement)]
+    found = [_summary(row) for row in connection.execute(statement).mappings()]
     return cut(found, limit, _track_position)
 
 
 def stream_tracks(engine: Engine, query: TrackQuery) -> Iterator[TrackSummary]:
     """Yield all tracks of the query in the order of `list_tracks`.
 
-    Takes the engine: each part is read in a transaction of its own, since one held open for a slow client would keep
-    the database from tidying up behind it.
+    Takes the engine: each part is read in a transaction of its own, since one held open for a slow client
+    would keep the database from tidying up behind it.
     """
     cursor: str | None = None
     while True:
@@ -186,8 +186,8 @@ def _summaries() -> Select[tuple[object, ...]]:
     return select(sensors.c.sensor_id, tracks.c.epoch, tracks.c.number, *columns).join_from(tracks, sensors)
 
 
-def _summary(row: Row[tuple[object, ...]]) -> TrackSummary:
-    fields = dict(row._mapping)
+def _summary(row: RowMapping) -> TrackSummary:
+    fields = dict(row)
     key = TrackKey(fields.pop("sensor_id"), fields.pop("epoch"), fields.pop("number"))
     return TrackSummary(key=key, **fields)
 

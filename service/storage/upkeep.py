@@ -88,11 +88,12 @@ def _add_partition(connection: Connection, day: int) -> None:
     connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _PARTITION_LOCK})
     if connection.scalar(text("SELECT to_regclass(:name)"), {"name": name}) is not None:
         return
+    within = f"second >= {start} AND second < {end}"
     for statement in (
-        f"LOCK TABLE {DEFAULT_PARTITION} IN ACCESS EXCLUSIVE MODE",
+        f"LOCK TABLE {DEFAULT_PARTITION} IN ACCESS EXCLUSIVE MODE",  # nobody writes there while rows move
         f"CREATE TABLE {name} (LIKE track_states INCLUDING ALL)",
-        f"WITH moved AS (DELETE FROM {DEFAULT_PARTITION} WHERE second >= {start} AND second < {end} RETURNING *) "  # noqa: S608 - our own names and integers
-        f"INSERT INTO {name} SELECT * FROM moved",
+        f"INSERT INTO {name} SELECT * FROM {DEFAULT_PARTITION} WHERE {within}",  # noqa: S608 - names and numbers of ours
+        f"DELETE FROM {DEFAULT_PARTITION} WHERE {within}",  # noqa: S608
         f"ALTER TABLE track_states ATTACH PARTITION {name} FOR VALUES FROM ({start}) TO ({end})",
     ):
         connection.exec_driver_sql(statement)
