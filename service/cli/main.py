@@ -1,0 +1,37 @@
+"""The command `wayside` and its parts, one module each."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from service import __version__
+from service.cli import key, sensor
+from service.cli.migrate import migrate
+
+app = typer.Typer(
+    name="wayside",
+    help="Turn a roadside radar into a traffic monitor.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+app.command()(migrate)
+app.add_typer(key.app, name="key")
+app.add_typer(sensor.app, name="sensor")
+
+
+def _print_version(wanted: bool) -> None:  # noqa: FBT001 - typer hands the flag over like this
+    if wanted:
+        typer.echo(f"wayside {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    *,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Turn a roadside radar into a traffic monitor."""

@@ -1,0 +1,96 @@
+"""`wayside sensor`: register and look at the sensors of a running service, through its API.
+
+A change of a sensor is a record in its log that only the host may write; so these commands speak HTTP.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli import options
+from service.cli.edge import one_sentence
+from service.cli.output import print_facts, print_json, print_rows, provenance
+
+app = typer.Typer(help="Register and look at the sensors of a running service.", no_args_is_help=True)
+
+SensorId = Annotated[str, typer.Argument(metavar="SENSOR", help="Id of the sensor.")]
+COLUMNS = ("sensor_id", "name", "site_id", "filter", "rate_hz", "mount_height_m", "heading_deg")
+
+
+@app.command()
+@one_sentence()
+def add(
+    site: Annotated[Path, typer.Argument(metavar="SITE.json", help="The sensor as mounted.")],
+    *,
+    filter_name: options.Filter = None,
+    settings: options.Set = None,
+    url: options.Url = options.DEFAULT_URL,
+    key: options.Key = None,
+    as_json: options.Json = False,
+) -> None:
+    """Register the sensor of a site file."""
+    from service.cli.client import Client
+    from service.cli.files import read_site
+
+    config = read_site(site, filter_name, settings or ())
+    with Client(url, key) as client:
+        sensor = client.request("POST", "/sensors", json=config.model_dump(mode="json"))
+    if as_json:
+        print_json(provenance(config.tracker_parameters()) | sensor)
+    else:
+        typer.echo(f"Sensor {config.sensor_id} is registered: {url}/api/v1/sensors/{config.sensor_id}/frames")
+
+
+@app.command("list")
+@one_sentence()
+def list_(
+    *, url: options.Url = options.DEFAULT_URL, key: options.Key = None, as_json: options.Json = False
+) -> None:
+    """List the sensors."""
+    from service.cli.client import Client
+
+    with Client(url, key) as client:
+        items = client.items("/sensors")
+    if as_json:
+        print_json(provenance() | {"sensors": items})
+    else:
+        print_rows(COLUMNS, items)
+
+
+@app.command()
+@one_sentence()
+def show(
+    sensor_id: SensorId,
+    *,
+    url: options.Url = options.DEFAULT_URL,
+    key: options.Key = None,
+    as_json: options.Json = False,
+) -> None:
+    """Show the configuration of a sensor."""
+    from service.cli.client import Client
+
+    with Client(url, key) as client:
+        sensor = client.request("GET", f"/sensors/{sensor_id}")
+    if as_json:
+        print_json(provenance() | sensor)
+    else:
+        print_facts(f"Sensor {sensor_id}", sensor)
+
+
+@app.command()
+@one_sentence()
+def remove(
+    sensor_id: SensorId,
+    *,
+    url: options.Url = options.DEFAULT_URL,
+    key: options.Key = None,
+) -> None:
+    """Take a sensor out of use; what it recorded stays readable."""
+    from service.cli.client import Client
+
+    with Client(url, key) as client:
+        client.request("DELETE", f"/sensors/{sensor_id}")
+    typer.echo(f"Sensor {sensor_id} is taken out of use.")
