@@ -1,0 +1,125 @@
+"""The road manoeuvres on which filters are compared: exact truths of single vehicles, in the plan frame.
+
+A truth is (steps + 1, 6), the state [x vx ax y vy ay] at t = 0, dt, 2 dt, ...; the vehicle approaches the
+radar from about 180 m, as in Electronics 2024, 13, 652, whose two motions come first. Between two instants
+the acceleration is constant, and the state is its exact integral.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from service.errors import InvalidInput
+from service.tracking.model import F64
+from service.tracking.motion import constant_acceleration
+
+PERIOD_S = 0.05
+DURATION_S = 12.5
+
+Profile = Callable[[float], tuple[float, float]]  # time [s] -> acceleration (ax, ay) [m/s^2]
+
+
+def motion_1() -> F64:
+    """Return the paper's motion 1: constant acceleration from (-8, 180)."""
+    return integrate(_paper_start(), lambda _: (-0.05, -0.5))
+
+
+def motion_2() -> F64:
+    """Return the paper's motion 2: five constant accelerations of 2.5 s each.
+
+    The paper names their signs and way-points only; these values obey both.
+    """
+    segments = ((-0.05, -0.5), (-0.12, -0.5), (-0.08, 0.3), (0.03, 0.2), (0.02, -0.4))
+    return integrate(_paper_start(), lambda t: segments[min(int(t / 2.5 + 1e-9), len(segments) - 1)])
+
+
+def cruise(speed_mps: float = 13.9) -> F64:
+    """Return a vehicle that keeps its speed (50 km/h)."""
+    return integrate(_start(-4.0, 190.0, speed_mps), lambda _: (0.0, 0.0))
+
+
+def braking(deceleration_mps2: float = 6.0, speed_mps: float = 15.0, after_s: float = 4.0) -> F64:
+    """Return a vehicle that brakes to a standstill and stays there."""
+    stop_s = after_s + speed_mps / deceleration_mps2
+    return integrate(
+        _start(-4.0, 160.0, speed_mps), lambda t: (0.0, deceleration_mps2 * _within(t, after_s, stop_s))
+    )
+
+
+def lane_change(width_m: float = 3.5, over_s: float = 4.0, speed_mps: float = 13.9) -> F64:
+    """Return a vehicle that moves one lane to the right, its lateral velocity a raised cosine."""
+    begin_s, rate, mean_mps = 4.0, 2.0 * math.pi / over_s, width_m / over_s
+
+    def profile(t: float) -> tuple[float, float]:
+        # lateral velocity is mean (1 - cos); its mean slope over the step leaves both ends exact
+        lo, hi = (min(max(s - begin_s, 0.0), over_s) for s in (t, t + PERIOD_S))
+        return mean_mps * (math.cos(rate * lo) - math.cos(rate * hi)) / PERIOD_S, 0.0
+
+    return integrate(_start(-4.0, 190.0, speed_mps), profile)
+
+
+def stop_and_go() -> F64:
+    """Return a vehicle that brakes to a standstill, waits, drives off, and brakes again."""
+
+    def profile(t: float) -> tuple[float, float]:
+        brake = 3.0 * (_within(t, 1.0, 1.0 + 10.0 / 3.0) + _within(t, 10.5, 12.5))
+        return 0.0, brake - 2.5 * _within(t, 6.5, 10.0)
+
+    return integrate(_start(-4.0, 100.0, 10.0), profile)
+
+
+def swerve(lateral_mps2: float = 4.0, speed_mps: float = 13.9) -> F64:
+    """Return a vehicle that swerves 4 s long: to the right and, with the same accelerations, back."""
+
+    def profile(t: float) -> tuple[float, float]:
+        return lateral_mps2 * (_within(t, 5.0, 6.0) - _within(t, 6.0, 8.0) + _within(t, 8.0, 9.0)), 0.0
+
+    return integrate(_start(-4.0, 190.0, speed_mps), profile)
+
+
+def integrate(start: F64, profile: Profile, duration_s: float = DURATION_S, dt_s: float = PERIOD_S) -> F64:
+    """Return the states at t = 0, dt, ...; each step has the acceleration of the profile at its start."""
+    steps = round(duration_s / dt_s)
+    if steps < 1:
+        raise InvalidInput.at("/duration_s", f"want at least one step of {dt_s} s, got {duration_s} s")
+    F = constant_acceleration(dt_s, 0.0).F
+    truth = np.empty((steps + 1, len(start)))
+    state = start.copy()
+    for k in range(steps + 1):
+        state[[2, 5]] = profile(k * dt_s)
+        truth[k] = state
+        state = F @ state
+    return truth
+
+
+def _within(t: float, begin_s: float, end_s: float) -> float:
+    """Return the share of the step from t that lies inside the interval."""
+    return min(max((min(t + PERIOD_S, end_s) - max(t, begin_s)) / PERIOD_S, 0.0), 1.0)
+
+
+def _paper_start() -> F64:
+    return np.array([-8.0, 0.4, -0.05, 180.0, -7.5, -0.5])
+
+
+def _start(x_m: float, y_m: float, speed_mps: float) -> F64:
+    return np.array([x_m, 0.0, 0.0, y_m, -speed_mps, 0.0])
+
+
+# the suite on which the filters are tuned, and two manoeuvres held back from tuning
+SUITE: Mapping[str, Callable[[], F64]] = MappingProxyType(
+    {
+        "motion 1": motion_1,
+        "motion 2": motion_2,
+        "cruise": cruise,
+        "braking 6": braking,
+        "lane change": lane_change,
+        "stop and go": stop_and_go,
+    }
+)
+HELD_OUT: Mapping[str, Callable[[], F64]] = MappingProxyType(
+    {"braking 9": lambda: braking(deceleration_mps2=9.0), "swerve": swerve}
+)

@@ -1,0 +1,38 @@
+"""Names of filters -> filters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from service.errors import InvalidInput
+from service.tracking.filters.base import Filter
+from service.tracking.filters.ekf import Ekf
+from service.tracking.filters.parameters import FilterParameters
+from service.tracking.filters.strong_tracking import Astekf
+from service.tracking.filters.strong_tracking_paper import AstekfPaper, Stekf
+
+_MAKERS: Mapping[str, Callable[[FilterParameters], Filter]] = MappingProxyType(
+    {
+        "astekf": lambda p: Astekf(p.astekf),
+        "astekf-paper": lambda p: AstekfPaper(p.astekf_paper),
+        "ekf": lambda p: Ekf(p.ekf),
+        "stekf": lambda p: Stekf(p.stekf),
+    }
+)
+
+
+def filter_names() -> tuple[str, ...]:
+    """Return the names of all filters, sorted."""
+    return tuple(sorted(_MAKERS))
+
+
+def make_filter(name: str, parameters: FilterParameters | None = None) -> Filter:
+    """Return the filter of that name with its part of the parameters (None: defaults).
+
+    Raises InvalidInput naming the known filters when there is none.
+    """
+    maker = _MAKERS.get(name)
+    if maker is None:
+        raise InvalidInput.at("/filter", f"no filter {name!r}; known are {', '.join(filter_names())}")
+    return maker(parameters or FilterParameters())
