@@ -19,7 +19,8 @@ class FrameRecord:
 class ControlRecord:
     """A change of the sensor's configuration that takes effect between two frames.
 
-    `config` is the whole new configuration as canonical JSON (formats.sensor.SensorConfig)."""
+    `config` is the whole new configuration as canonical JSON (formats.sensor.SensorConfig).
+    """
 
     config: str
     received_us: int
@@ -27,7 +28,10 @@ class ControlRecord:
 
 @dataclass(frozen=True, slots=True)
 class TickRecord:
-    """Time goes on without frames: last frame time + 1 s, + 2 s, ... Ticks coast and delete tracks and flush the reorder buffer."""
+    """Time goes on without frames: last frame time + 1 s, + 2 s, ...
+
+    Ticks coast and end tracks, close state blocks and flush the reorder buffer.
+    """
 
     time_us: int
 

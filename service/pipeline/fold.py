@@ -1,0 +1,175 @@
+"""Fold a sensor's log into tracks and rows, one record at a time; the same function live and offline.
+
+No clock, no randomness, no I/O: time comes from the records. Where two frames are more than a second
+apart, the fold puts a tick at each whole second in between, just as the host does while the sensor is
+silent, so that a live log with ticks and a file without them give one history.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from service.errors import InvalidInput
+from service.formats.sensor import SensorConfig
+from service.pipeline.blocks import Moment, collect_frame, collect_tick, end_all, nothing_collected
+from service.pipeline.fold_state import Folded, FoldOutput, FoldState, S, Tracker
+from service.pipeline.order import Admission, Fate, OrderState, Released, admit, flush, pass_time
+from service.pipeline.records import ControlRecord, FrameRecord, Record, TickRecord
+from service.storage.rows import EventRow, Rows, TrackKey, TrackSummary
+
+TICK_US = 1_000_000
+CONFIGURATION_REFUSED = "configuration_refused"
+CLOCK_SET_BACK = "the sensor's clock was set back"
+
+
+@dataclass(slots=True)
+class _Output:
+    """What has been given out so far while one record is folded."""
+
+    folded: list[Folded] = field(default_factory=list)
+    rows: list[Rows] = field(default_factory=list)
+
+
+def start(
+    sensor_id: str, epoch: int, config: SensorConfig, tracker: Tracker[S], *, first_position: int = 1
+) -> FoldState[S]:
+    """Return the empty state of an epoch whose first record is at `first_position`.
+
+    Raises InvalidInput when a parameter of the configuration is wrong.
+    """
+    parameters = config.tracker_parameters()
+    return FoldState(
+        sensor_id=sensor_id,
+        epoch=epoch,
+        epoch_first_position=first_position,
+        position=first_position - 1,
+        config=config.canonical_json(),
+        parameters=parameters,
+        tracker=tracker.initial_state(parameters),
+        order=OrderState(),
+        collected=nothing_collected(),
+    )
+
+
+def step(
+    state: FoldState[S], position: int, record: Record, tracker: Tracker[S]
+) -> tuple[FoldState[S], FoldOutput]:
+    """Return the state after the record at `position`, and what the record led to."""
+    state, out = replace(state, position=position), _Output()
+    restarted = None
+    match record:
+        case FrameRecord():
+            order, admission = admit(state.order, record.frame)
+            if admission.clock_step:
+                restarted = CLOCK_SET_BACK
+                state = _begin_anew(state, out, tracker)
+            state = replace(state, order=order)
+        case ControlRecord() | TickRecord():
+            order, admission = flush(state.order)
+            state = replace(state, order=order)
+    for released in admission.released:
+        state = _fold_frame(state, released, out, tracker)
+    match record:
+        case ControlRecord():
+            state = _configure(state, record, out)
+            admission = replace(admission, fate=Fate.CONTROL)
+        case TickRecord():
+            state = _fold_ticks(state, record.time_us + 1, out, tracker)
+            admission = replace(admission, fate=Fate.TICK)
+    return state, _result(admission, out, restarted)
+
+
+def _result(admission: Admission, out: _Output, restarted: str | None) -> FoldOutput:
+    # A track may be summed up twice in one step; both have the same `as_of`, so only the later may go out.
+    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in out.rows for row in rows.tracks}
+    return FoldOutput(
+        fate=admission.fate,
+        folded=tuple(out.folded),
+        rows=Rows(
+            blocks=tuple(block for rows in out.rows for block in rows.blocks),
+            tracks=tuple(tracks.values()),
+            events=tuple(event for rows in out.rows for event in rows.events),
+        ),
+        missing=admission.missing,
+        dropped=admission.dropped,
+        restarted=restarted,
+    )
+
+
+def _fold_frame(state: FoldState[S], released: Released, out: _Output, tracker: Tracker[S]) -> FoldState[S]:
+    frame = released.frame
+    state = _fold_ticks(state, frame.time_us, out, tracker)
+    tracked, estimates, report = tracker.step(state.tracker, frame, state.parameters)
+    moment = _moment(state, frame.time_us)
+    collected, rows = collect_frame(state.collected, moment, released.number, estimates)
+    out.rows.append(rows)
+    out.folded.append(
+        Folded(state.position, released.number, released.boot, frame.time_us, estimates, report, frame)
+    )
+    return replace(
+        state,
+        tracker=tracked,
+        collected=collected,
+        frame_us=frame.time_us,
+        frame_number=released.number,
+        boot=released.boot,
+        ticks=0,
+    )
+
+
+def _fold_ticks(state: FoldState[S], before_us: int, out: _Output, tracker: Tracker[S]) -> FoldState[S]:
+    """Fold the ticks that stand between the newest frame and a time, as long as they change something."""
+    while state.frame_us is not None and not (state.quiet or state.tired):
+        time_us = state.frame_us + (state.ticks + 1) * TICK_US
+        if time_us >= before_us:
+            break
+        tracked, estimates, report = tracker.coast(state.tracker, time_us, state.parameters)
+        collected, rows = collect_tick(state.collected, _moment(state, time_us), estimates)
+        out.rows.append(rows)
+        out.folded.append(
+            Folded(state.position, state.frame_number, state.boot, time_us, estimates, report, None)
+        )
+        state = replace(state, tracker=tracked, collected=collected, ticks=state.ticks + 1)
+        if state.order.time_us is None or time_us > state.order.time_us:
+            state = replace(state, order=pass_time(state.order, time_us))
+    return state
+
+
+def _configure(state: FoldState[S], record: ControlRecord, out: _Output) -> FoldState[S]:
+    """Take over a new configuration; a wrong one is refused by an event, and the old one stays."""
+    try:
+        config = SensorConfig.model_validate_json(record.config)
+        parameters = config.tracker_parameters()
+    except (InvalidInput, ValueError) as error:
+        event = EventRow(
+            sensor_id=state.sensor_id,
+            epoch=state.epoch,
+            number=state.events + 1,
+            as_of=state.position,
+            kind=CONFIGURATION_REFUSED,
+            time_us=record.received_us,
+            detail={"reason": str(error)},
+        )
+        out.rows.append(Rows(events=(event,)))
+        return replace(state, events=state.events + 1)
+    return replace(state, config=config.canonical_json(), parameters=parameters)
+
+
+def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldState[S]:
+    """End every track and open the next epoch with an empty state, at the record that is being folded."""
+    last_us = state.order.time_us if state.order.time_us is not None else 0
+    out.rows.append(end_all(state.collected, _moment(state, last_us)))
+    return replace(
+        state,
+        epoch=state.epoch + 1,
+        epoch_first_position=state.position,
+        tracker=tracker.initial_state(state.parameters),
+        collected=nothing_collected(),
+        frame_us=None,
+        ticks=0,
+        events=0,
+    )
+
+
+def _moment(state: FoldState[S], time_us: int) -> Moment:
+    return Moment(state.sensor_id, state.epoch, state.position, time_us)

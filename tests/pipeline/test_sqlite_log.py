@@ -1,0 +1,275 @@
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import sqlite3
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from service.errors import InvalidFrame, StorageError, Unavailable
+from service.pipeline.codec import decode_record, encode_record
+from service.pipeline.records import ControlRecord, FrameRecord, TickRecord
+from service.pipeline.sqlite_log import LogLimits, SqliteLog
+from tests.pipeline.recordings import frame, recording, records
+
+
+def bodies(found) -> list[bytes]:
+    return [encode_record(record) for _, record in found]
+
+
+@pytest.fixture
+def frame_log(tmp_path):
+    opened = SqliteLog(tmp_path / "log", LogLimits(free_share=0.0))
+    yield opened
+    opened.close()
+
+
+ALL_KINDS = [*records(recording(2)), ControlRecord('{"a":1}', 5), TickRecord(7)]
+
+
+@pytest.mark.parametrize("record", ALL_KINDS, ids=["frame", "frame", "control", "tick"])
+def test_a_record_comes_back_from_its_bytes(record):
+    data = encode_record(record)
+
+    assert encode_record(decode_record(data)) == data
+    assert type(decode_record(data)) is type(record)
+
+
+@pytest.mark.parametrize("record", ALL_KINDS, ids=["frame", "frame", "control", "tick"])
+def test_every_damaged_byte_of_a_record_is_noticed(record):
+    data = encode_record(record)
+    for at in range(len(data)):
+        changed = bytearray(data)
+        changed[at] ^= 1
+        with pytest.raises(StorageError):
+            decode_record(bytes(changed))
+    with pytest.raises(StorageError):
+        decode_record(data[:-1])
+    with pytest.raises(StorageError):
+        decode_record(b"")
+
+
+def test_records_are_read_back_in_order_by_position(frame_log):
+    assert frame_log.append("radar-1", ALL_KINDS) == [1, 2, 3, 4]
+    assert frame_log.append("radar-2", ALL_KINDS[:1]) == [1]
+    assert frame_log.append("radar-1", ALL_KINDS[:1]) == [5]
+
+    found = frame_log.read("radar-1", 1, 3)
+
+    assert [position for position, _ in found] == [2, 3, 4]
+    assert bodies(found) == [encode_record(record) for record in ALL_KINDS[1:]]
+    assert frame_log.last_position("radar-1") == 5
+    assert frame_log.first_position("radar-1") == 1
+    assert frame_log.last_position("radar-3") == frame_log.first_position("radar-3") == 0
+
+
+def test_everything_is_there_after_opening_again(tmp_path):
+    first = SqliteLog(tmp_path)
+    first.append("radar-1", ALL_KINDS)
+    first.close()
+
+    again = SqliteLog(tmp_path)
+    try:
+        assert bodies(again.read("radar-1", 0, 10)) == [encode_record(record) for record in ALL_KINDS]
+        assert again.append("radar-1", ALL_KINDS[:1]) == [5]
+    finally:
+        again.close()
+
+
+def test_many_threads_share_commits_and_get_positions_without_holes(frame_log):
+    given: list[int] = []
+
+    def post() -> None:
+        for record in records(recording(10)):
+            given.extend(frame_log.append("radar-1", [record]))
+
+    threads = [threading.Thread(target=post) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    assert sorted(given) == list(range(1, 41))
+
+
+def test_the_event_loop_can_await_an_append_and_a_cancelled_caller_takes_nothing_back(frame_log):
+    async def run() -> list[int]:
+        cancelled = frame_log.append_async("radar-1", ALL_KINDS[:1])
+        cancelled.cancel()
+        return await frame_log.append_async("radar-1", ALL_KINDS[:2])
+
+    assert asyncio.run(run()) == [2, 3]
+    assert frame_log.last_position("radar-1") == 3
+
+
+def test_the_host_hears_of_durable_records_before_the_caller(tmp_path):
+    heard: list[tuple[str, int]] = []
+    frame_log = SqliteLog(
+        tmp_path, on_durable=lambda sensor_id, position: heard.append((sensor_id, position))
+    )
+    try:
+        frame_log.append("radar-1", ALL_KINDS)
+        assert heard == [("radar-1", 4)]
+    finally:
+        frame_log.close()
+
+
+def test_a_frame_that_cannot_be_stored_fails_alone(frame_log):
+    async def run() -> list[object]:
+        wrong = FrameRecord(dataclasses.replace(frame(1, 1), sequence=2**70), 0)
+        return await asyncio.gather(
+            frame_log.append_async("radar-1", [wrong]),
+            frame_log.append_async("radar-1", ALL_KINDS[:1]),
+            return_exceptions=True,
+        )
+
+    refused, positions = asyncio.run(run())
+
+    assert isinstance(refused, InvalidFrame)
+    assert positions == [1]
+
+
+@pytest.mark.usefixtures("frame_log")
+def test_a_second_log_on_the_same_folder_is_refused(tmp_path):
+    with pytest.raises(StorageError, match="another process uses the data"):
+        SqliteLog(tmp_path / "log")
+
+
+@pytest.mark.usefixtures("frame_log")
+@pytest.mark.slow
+def test_a_second_process_on_the_same_folder_is_refused(tmp_path):
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom service.errors import StorageError\n"
+        "from service.pipeline.sqlite_log import SqliteLog\n"
+        "try:\n    SqliteLog(Path(sys.argv[1]))\nexcept StorageError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "log")], capture_output=True, text=True, check=True
+    )
+
+    assert "another process uses the data" in done.stdout
+
+
+SMALL = LogLimits(total_bytes=1_600_000, segment_bytes=200_000, free_share=0.0)
+
+
+def big_records(count: int) -> list[FrameRecord]:
+    column = np.zeros(1500, dtype=np.float32)
+    big = {"range_m": column, "azimuth_rad": column, "radial_velocity_mps": column, "snr_db": column}
+    return [FrameRecord(dataclasses.replace(frame(i + 1, i + 1), **big), 0) for i in range(count)]
+
+
+@pytest.fixture
+def small_log(tmp_path, monkeypatch):
+    monkeypatch.setattr("service.pipeline.sqlite_log._ROOM_CHECK_S", 0.0)
+    opened = SqliteLog(tmp_path, SMALL)
+    yield opened
+    opened.close()
+
+
+def fill(frame_log) -> int:
+    with pytest.raises(Unavailable, match="the log is full") as refusal:
+        for record in big_records(200):
+            frame_log.append("radar-1", [record])
+    assert refusal.value.retry_after_s > 0
+    return frame_log.last_position("radar-1")
+
+
+def test_a_full_log_refuses_rather_than_drop_what_is_not_released(small_log, tmp_path):
+    last = fill(small_log)
+
+    assert 20 < last < 200
+    assert len(list(tmp_path.glob("segment-*.sqlite"))) > 3
+    assert small_log.first_position("radar-1") == 1
+    assert [position for position, _ in small_log.read("radar-1", 0, 500)] == list(range(1, last + 1))
+
+
+def test_a_full_log_drops_its_oldest_files_once_they_are_released(small_log):
+    last = fill(small_log)
+    small_log.release("radar-1", last)
+
+    small_log.append("radar-1", big_records(1))
+
+    assert small_log.first_position("radar-1") > 1
+    assert small_log.last_position("radar-1") == last + 1
+    assert small_log.size_bytes() <= SMALL.total_bytes
+
+
+def test_positions_go_on_when_every_record_of_a_sensor_was_dropped(small_log, tmp_path):
+    small_log.append("quiet", ALL_KINDS)
+    small_log.release("quiet", 4)
+    last = fill(small_log)
+    small_log.release("radar-1", last)
+    small_log.append("radar-1", big_records(1))
+    assert small_log.first_position("quiet") == 0
+    small_log.close()
+
+    again = SqliteLog(tmp_path, SMALL)
+    try:
+        assert again.append("quiet", ALL_KINDS[:1]) == [5]
+    finally:
+        again.close()
+
+
+def test_a_nearly_full_disk_refuses_frames(tmp_path):
+    frame_log = SqliteLog(tmp_path, LogLimits(free_share=1.0))
+    try:
+        with pytest.raises(Unavailable, match="disk is nearly full"):
+            frame_log.append("radar-1", ALL_KINDS)
+    finally:
+        frame_log.close()
+
+
+def test_too_many_waiting_records_are_refused(tmp_path):
+    frame_log = SqliteLog(tmp_path, LogLimits(pending_records=3))
+    try:
+        with pytest.raises(Unavailable, match="wait for the disk"):
+            frame_log.append("radar-1", ALL_KINDS)
+    finally:
+        frame_log.close()
+
+
+def test_a_closed_log_refuses(tmp_path):
+    frame_log = SqliteLog(tmp_path)
+    frame_log.close()
+
+    with pytest.raises(Unavailable, match="closing"):
+        frame_log.append("radar-1", ALL_KINDS)
+
+
+@pytest.mark.parametrize("keep", [0, 100, 5000], ids=["empty", "header", "half"])
+def test_a_truncated_newest_file_is_set_aside_and_the_log_goes_on(tmp_path, keep):
+    first = SqliteLog(tmp_path)
+    first.append("radar-1", ALL_KINDS)
+    first.close()
+    path = tmp_path / "segment-00000001.sqlite"
+    path.write_bytes(path.read_bytes()[:keep] if keep else b"no database at all, but text")
+
+    again = SqliteLog(tmp_path)
+    try:
+        again.reserve("radar-1", 4)
+        assert again.append("radar-1", ALL_KINDS[:1]) == [5]
+        assert [position for position, _ in again.read("radar-1", 0, 9)] == [5]
+        assert (tmp_path / "segment-00000001.sqlite.damaged").exists()
+    finally:
+        again.close()
+
+
+def test_a_damaged_record_is_left_out_and_counted(tmp_path):
+    first = SqliteLog(tmp_path)
+    first.append("radar-1", ALL_KINDS)
+    first.close()
+    with sqlite3.connect(tmp_path / "segment-00000001.sqlite") as connection:
+        connection.execute("UPDATE record SET body = x'00112233' WHERE position = 2")
+    connection.close()
+
+    again = SqliteLog(tmp_path)
+    try:
+        assert [position for position, _ in again.read("radar-1", 0, 9)] == [1, 3, 4]
+        assert again.damaged_records == 1
+    finally:
+        again.close()
