@@ -22,7 +22,7 @@ class Settings(BaseSettings):
     database_url: str | None = None  # sqlite:///path or postgresql://...
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Field(ge=0, le=65_535)] = 8000  # 0: any free one
+    port: Annotated[int, Field(ge=0, le=65_535)] = 8321  # 0: any free one
     allowed_hosts: tuple[
         str, ...
     ] = ()  # names accepted in the Host header besides the loopback's; empty: see api
