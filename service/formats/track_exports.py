@@ -8,13 +8,15 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.formats.georeference import Pose, to_wgs84
 from service.formats.rfc3339 import format_time
-from service.formats.tracks import STATUS_TEXT, StoredStates, rounded, track_id
-from service.tracking.model import F64
+from service.formats.tracks import STATUS_TEXT, rounded, track_id
+from service.tracking.model import F64, I64
 
 STATE_COLUMNS = (
     "track_id",
@@ -55,21 +57,31 @@ TRACK_COLUMNS = (
 )
 
 
-def state_records(sensor_id: str, block: StoredStates, pose: Pose | None) -> list[dict[str, object]]:
-    """Return the states of one block, in time order, as records with the fields STATE_COLUMNS."""
-    s = block.samples
+@dataclass(frozen=True, slots=True)
+class StateTable:
+    """N stored states of one sensor and epoch."""
+
+    sensor_id: str
+    epoch: int
+    number: I64  # (N,)
+    frame: I64  # (N,)
+    time_us: I64  # (N,)
+    samples: NDArray[np.void]  # (N,) of storage.rows.STATE_SAMPLE
+
+
+def state_records(table: StateTable, pose: Pose | None) -> list[dict[str, object]]:
+    """Return the states as records with the fields STATE_COLUMNS, in the order given."""
+    s = table.samples
     columns = {name: rounded(s[name]) for name in ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m")}
     speeds = rounded(np.hypot(s["vx_mps"], s["vy_mps"]))
     places = _places(pose, s["x_m"].astype(np.float64), s["y_m"].astype(np.float64))
-    name = track_id(sensor_id, block.epoch, block.number)
-    lanes, status = s["lane"].tolist(), s["status"].tolist()
-    frames = (block.first_frame + s["frame_offset"].astype(np.int64)).tolist()
-    times_ms = (block.second * 1000 + s["time_offset_ms"].astype(np.int64)).tolist()
+    lanes, status, numbers = s["lane"].tolist(), s["status"].tolist(), table.number.tolist()
+    frames, times_us = table.frame.tolist(), table.time_us.tolist()
     return [
         {
-            "track_id": name,
+            "track_id": track_id(table.sensor_id, table.epoch, numbers[i]),
             "frame": frames[i],
-            "timestamp": format_time(times_ms[i] * 1000),
+            "timestamp": format_time(times_us[i]),
             "status": STATUS_TEXT[status[i]],
             "x_m": columns["x_m"][i],
             "y_m": columns["y_m"][i],

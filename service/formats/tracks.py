@@ -7,9 +7,8 @@ the line of a frame is the same bytes whether it comes from the tracker or from 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 import orjson
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from service.formats.georeference import Pose, to_wgs84
 from service.formats.length_class import LENGTH_BOUNDS_M, length_class
 from service.formats.rfc3339 import format_time
-from service.tracking.model import F32, TrackEstimates, TrackStatus
+from service.tracking.model import F32, I64, TrackEstimates, TrackStatus
 
 STATUS_TEXT = tuple(status.name.lower() for status in TrackStatus)
 
@@ -28,13 +27,10 @@ _STATE_FIELDS = ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m")
 
 @dataclass(frozen=True, slots=True)
 class StoredStates:
-    """The stored states of one track inside one second: N samples as storage.rows.STATE_SAMPLE."""
+    """The stored states of all tracks (T) after one frame, by number."""
 
-    epoch: int
-    number: int
-    second: int
-    first_frame: int
-    samples: NDArray[np.void]
+    number: I64  # (T,)
+    samples: NDArray[np.void]  # (T,) of storage.rows.STATE_SAMPLE
 
 
 def track_id(sensor_id: str, epoch: int, number: int) -> str:
@@ -59,32 +55,12 @@ def frame_line(
     return _line(frame_number, format_time(time_us), states)
 
 
-def stored_lines(sensor_id: str, blocks: Iterable[StoredStates]) -> list[bytes]:
-    """Return the lines of every frame in the blocks of one sensor, ordered by time.
-
-    Whole seconds give whole lines: hand over all blocks of a second together.
-    """
-    rows = sorted((row for block in blocks for row in _rows(sensor_id, block)), key=lambda row: row[:2])
-    return [
-        _line(frame, format_time(time_ms * 1000), [row[2] for row in group])
-        for (time_ms, _, frame), group in groupby(rows, key=lambda row: row[0])
-    ]
-
-
-_Order = tuple[int, int, int]  # time in milliseconds, epoch, frame
-
-
-def _rows(sensor_id: str, block: StoredStates) -> list[tuple[_Order, int, dict[str, object]]]:
-    samples = block.samples
-    columns = [rounded(samples[name]) for name in _STATE_FIELDS]
-    ids = [track_id(sensor_id, block.epoch, block.number)] * len(samples)
-    states = _states(ids, samples["status"].tolist(), columns, samples["lane"].tolist())
-    return [
-        ((block.second * 1000 + offset_ms, block.epoch, block.first_frame + offset), block.number, state)
-        for offset_ms, offset, state in zip(
-            samples["time_offset_ms"].tolist(), samples["frame_offset"].tolist(), states, strict=True
-        )
-    ]
+def stored_line(sensor_id: str, epoch: int, frame_number: int, time_us: int, stored: StoredStates) -> bytes:
+    """Return the line that `frame_line` gave for the frame when its tracks were new."""
+    columns = [rounded(stored.samples[name]) for name in _STATE_FIELDS]
+    ids = [track_id(sensor_id, epoch, number) for number in stored.number.tolist()]
+    states = _states(ids, stored.samples["status"].tolist(), columns, stored.samples["lane"].tolist())
+    return _line(frame_number, format_time(time_us), states)
 
 
 def _states(
