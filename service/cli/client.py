@@ -39,7 +39,7 @@ class Client:
             page = self.request("GET", path if cursor is None else f"{path}?{urlencode({'cursor': cursor})}")
             items = page.get("items")
             found += items if isinstance(items, list) else []
-            cursor = page.get("next_cursor")
+            cursor = page.get("next")
             if cursor is None:
                 return found
 

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from service.errors import FieldError, InvalidInput
 from service.formats.sensor import SensorConfig
+from service.tracking.filters.registry import make_filter
 
 PARTIAL = ".partial"  # suffix of a file that is not finished
 
@@ -29,7 +30,8 @@ def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str
     if filter_name is not None:
         changes["filter"] = filter_name
     config = config.model_copy(update=changes)
-    config.tracker_parameters()  # names a wrong key or value now, before any work
+    make_filter(config.filter)  # names a wrong filter, key or value now, before any work
+    config.tracker_parameters()
     return config
 
 

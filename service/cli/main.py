@@ -9,6 +9,7 @@ import typer
 from service import __version__
 from service.cli import key, sensor
 from service.cli.migrate import migrate
+from service.cli.replay import replay
 
 app = typer.Typer(
     name="wayside",
@@ -16,6 +17,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+app.command()(replay)
 app.command()(migrate)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")

@@ -7,20 +7,19 @@ here: `azimuth_positive` to polar frames (Cartesian axes are x right, y forward,
 
 from __future__ import annotations
 
-import gzip
 import math
 import re
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, cast
+from typing import cast
 
 import numpy as np
 import orjson
 
-from service.errors import FieldError, InvalidFrame, InvalidInput
+from service.errors import FieldError, InvalidFrame
 from service.formats.detections import Columns, read_detections
+from service.formats.json_lines import numbered_lines
 from service.formats.rfc3339 import format_time_exact, parse_time_us
 from service.formats.sensor import SensorConfig
 from service.tracking.model import F32, Frame
@@ -30,7 +29,6 @@ MAX_FRAME_NUMBER = 2**53 - 1  # the largest integer that every JSON reader keeps
 
 _SENSOR_ID = re.compile(r"[A-Za-z0-9_-]{1,64}", re.ASCII)
 _BOOT_ID = re.compile(r"[A-Za-z0-9._:-]{1,64}", re.ASCII)
-_GZIP_MAGIC = b"\x1f\x8b"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,25 +143,11 @@ def read_frames(paths: Iterable[Path], config: SensorConfig, max_points: int = M
     Raises InvalidInput naming file and line.
     """
     for path in paths:
-        line_number = 0
-        try:
-            with _open(path) as lines:
-                for line in lines:
-                    line_number += 1
-                    if not line.isspace():
-                        yield parse_bytes(line, config, max_points)
-        except InvalidFrame as error:
-            raise InvalidFrame(f"{path}, line {line_number}: {error}", error.errors) from None
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise InvalidInput(f"{path}: damaged gzip data after line {line_number}: {error}") from None
-        except OSError as error:
-            raise InvalidInput(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def _open(path: Path) -> IO[bytes]:
-    with path.open("rb") as file:
-        magic = file.read(len(_GZIP_MAGIC))
-    return cast("IO[bytes]", gzip.open(path, "rb")) if magic == _GZIP_MAGIC else path.open("rb")
+        for number, line in numbered_lines(path):
+            try:
+                yield parse_bytes(line, config, max_points)
+            except InvalidFrame as error:
+                raise InvalidFrame(f"{path}, line {number}: {error}", error.errors) from None
 
 
 def frame_to_wire(frame: Frame) -> dict[str, object]:

@@ -1,0 +1,83 @@
+"""`wayside key` and `wayside migrate` on a database of their own."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+import service
+from service.cli.main import app
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # no .env of the developer
+
+    def call(*arguments: str, code: int = 0):
+        result = CliRunner().invoke(app, [*arguments, "--data-dir", str(tmp_path / "data")])
+        assert result.exit_code == code, result.output
+        return result
+
+    return call
+
+
+def test_a_key_is_created_listed_and_revoked(run):
+    made = json.loads(run("key", "create", "--name", "dashboard", "--scope", "admin", "--json").stdout)
+    listed = json.loads(run("key", "list", "--json").stdout)["keys"]
+    run("key", "revoke", made["key_id"])
+
+    assert len(made["key"]) > 40
+    assert made["version"] == service.__version__
+    assert [(key["key_id"], key["name"], key["scopes"]) for key in listed] == [
+        (made["key_id"], "dashboard", ["admin"])
+    ]
+    assert "key" not in listed[0]
+    assert json.loads(run("key", "list", "--json").stdout)["keys"] == []
+    assert json.loads(run("key", "list", "--revoked", "--json").stdout)["keys"][0]["revoked"] is not None
+
+
+def test_standard_output_is_the_secret_alone(run):
+    result = run("key", "create", "--scope", "read")
+
+    assert len(result.stdout.split()) == 1
+    assert "cannot be shown again" in result.stderr
+
+
+def test_people_read_a_table_of_keys(run):
+    run("key", "create", "--name", "wall display", "--scope", "read")
+
+    assert "wall display" in run("key", "list").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("key", "create", "--scope", "owner"), "scopes"),
+        (("key", "create", "--scope", "ingest", "--sensor", "radar-9"), "radar-9"),
+        (("key", "revoke", "0000"), "no key 0000"),
+    ],
+)
+def test_wrong_input_is_a_sentence_and_exit_code_2(run, arguments, reason):
+    assert reason in run(*arguments, code=2).stderr
+
+
+def test_migrate_brings_an_empty_database_up_to_date(run):
+    run("migrate", "--check", code=1)
+    first = json.loads(run("migrate", "--json").stdout)
+    again = json.loads(run("migrate", "--json").stdout)
+
+    assert first["before"] is None
+    assert first["after"] == first["needed"] == again["before"] == again["after"]
+    run("migrate", "--check")
+
+
+def test_a_wrong_database_address_is_a_sentence(run):
+    assert "sqlite or postgresql" in run("migrate", "--database", "mysql://host/name", code=1).stderr
+
+
+def test_a_wrong_setting_of_the_environment_is_named(run, monkeypatch):
+    monkeypatch.setenv("WAYSIDE_PORT", "many")
+
+    assert "WAYSIDE_PORT" in run("migrate", code=2).stderr
