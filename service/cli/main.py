@@ -10,6 +10,7 @@ from service import __version__
 from service.cli import key, sensor
 from service.cli.migrate import migrate
 from service.cli.replay import replay
+from service.cli.simulate import simulate
 
 app = typer.Typer(
     name="wayside",
@@ -18,6 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(replay)
+app.command()(simulate)
 app.command()(migrate)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")

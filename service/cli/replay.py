@@ -157,7 +157,7 @@ def _to_now(recording: Recording, factor: float) -> Callable[[RecordedFrame], di
 
 
 def _register(client: Client, site: Path, sensor: str | None) -> str:
-    from service.cli.files import read_site
+    from service.cli.site_file import read_site
 
     config = read_site(site)
     if sensor is not None:

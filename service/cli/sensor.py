@@ -33,7 +33,7 @@ def add(
 ) -> None:
     """Register the sensor of a site file."""
     from service.cli.client import Client
-    from service.cli.files import read_site
+    from service.cli.site_file import read_site
 
     config = read_site(site, filter_name, settings or ())
     with Client(url, key) as client:

@@ -1,9 +1,8 @@
-"""Read a site file with the settings of the command line, and write results whole or not at all."""
+"""Read a site file, with the settings of the command line on top."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -11,8 +10,6 @@ from pydantic import ValidationError
 from service.errors import FieldError, InvalidInput
 from service.formats.sensor import SensorConfig
 from service.tracking.filters.registry import make_filter
-
-PARTIAL = ".partial"  # suffix of a file that is not finished
 
 
 def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str] = ()) -> SensorConfig:
@@ -33,39 +30,6 @@ def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str
     make_filter(config.filter)  # names a wrong filter, key or value now, before any work
     config.tracker_parameters()
     return config
-
-
-@contextmanager
-def written_together(
-    directory: Path, names: Sequence[str], *, force: bool = False
-) -> Iterator[dict[str, Path]]:
-    """Yield for each file name a path to write to; at the end all take their names, on an error all vanish.
-
-    The last name is the one whose presence says that the results are complete. Raises InvalidInput when the
-    directory holds anything else and `force` is not set.
-    """
-    _prepare(directory, names, force=force)
-    paths = {name: directory / f"{name}{PARTIAL}" for name in names}
-    try:
-        yield paths
-        (directory / names[-1]).unlink(missing_ok=True)
-        for name in names:
-            paths[name].replace(directory / name)
-    finally:
-        for path in paths.values():
-            path.unlink(missing_ok=True)
-
-
-def _prepare(directory: Path, names: Sequence[str], *, force: bool) -> None:
-    if directory.exists() and not directory.is_dir():
-        raise InvalidInput(f"{directory} is a file; --out wants a folder")
-    directory.mkdir(parents=True, exist_ok=True)
-    ours = {*names, *(f"{name}{PARTIAL}" for name in names)}
-    others = sorted(path.name for path in directory.iterdir() if path.name not in ours)
-    if others and not force:
-        raise InvalidInput(
-            f"{directory} holds other things ({others[0]}, ...); name another folder or add --force"
-        )
 
 
 def _setting(text: str) -> tuple[str, str]:
