@@ -1,0 +1,92 @@
+"""Put the parts together: the FastAPI application over a host, a database and the settings."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from anyio import to_thread
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+from sqlalchemy import Engine
+
+from service import __version__
+from service.api import (
+    dashboard,
+    events,
+    frames,
+    health,
+    keys,
+    live,
+    openapi,
+    problems,
+    reference,
+    sensors,
+    tracks,
+)
+from service.api.dependencies import Services
+from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
+from service.api.security import Keyring, is_loopback
+from service.pipeline.host import EmbeddedHost
+from service.settings import Settings
+
+PREFIX = "/api/v1"
+
+
+def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecure: bool = False) -> FastAPI:
+    """Return the application; it starts the host when it starts, and stops it when it ends.
+
+    insecure: be open while no key exists also when other machines can reach the service.
+    """
+    local = is_loopback(settings.host)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        await to_thread.run_sync(host.start)
+        try:
+            yield
+        finally:
+            await to_thread.run_sync(host.stop)
+
+    app = FastAPI(
+        title="Wayside",
+        version=__version__,
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        generate_unique_id_function=_operation_id,
+    )
+    app.state.services = Services(
+        host, engine, settings, Keyring(engine, local=local or insecure), asyncio.Event()
+    )
+    for module in (frames, live, tracks, sensors, events, keys):
+        app.include_router(module.router, prefix=PREFIX)
+    for module in (health, reference, dashboard):
+        app.include_router(module.router)
+    app.router.default = dashboard.Dashboard()
+    app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way
+    problems.install(app)
+    app.add_middleware(
+        Gate,
+        allowed_hosts=_allowed_hosts(settings, local=local),
+        http_metrics=HttpMetrics(host.telemetry.registry),
+    )
+    return app
+
+
+def _allowed_hosts(settings: Settings, *, local: bool) -> frozenset[str] | None:
+    """Return the names that the Host header may hold, None for any.
+
+    On the loopback only its own names, so that a web page cannot reach the service through a name of its own
+    that it points at 127.0.0.1 (DNS rebinding).
+    """
+    named = frozenset(name.lower() for name in settings.allowed_hosts)
+    if local:
+        return LOOPBACK_NAMES | named
+    return named or None
+
+
+def _operation_id(route: APIRoute) -> str:
+    return route.name

@@ -1,0 +1,125 @@
+"""The outermost layer of the application: request ids, whose server this is, and errors that nobody expected.
+
+Plain ASGI, since Starlette's base class for middleware would copy every streamed reply through a queue.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+import time
+from urllib.parse import urlsplit
+
+import structlog
+from prometheus_client import CollectorRegistry, Counter, Histogram
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problems import KINDS, problem_response
+from service.api.security import host_name
+
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
+
+_SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_METHODS = _SAFE_METHODS | {"POST", "PATCH", "PUT", "DELETE"}
+_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0)
+_REQUEST_ID = re.compile(r"[A-Za-z0-9_-]{8,64}", re.ASCII)
+_TRACE_PARENT = re.compile(r"[0-9a-f]{2}-([0-9a-f]{32})-[0-9a-f]{16}-[0-9a-f]{2}", re.ASCII)
+
+_log = structlog.get_logger(__name__)
+
+
+class HttpMetrics:
+    """Counts requests and their time by route; paths that no route knows are one label."""
+
+    def __init__(self, registry: CollectorRegistry) -> None:
+        labels = ("method", "route", "status")
+        self._requests = Counter(
+            "wayside_http_requests", "Requests by route and status.", labels, registry=registry
+        )
+        self._seconds = Histogram(
+            "wayside_http_request_seconds",
+            "Time to the end of a reply; waiting of long polls and streams included.",
+            ("route",),
+            registry=registry,
+            buckets=_BUCKETS_S,
+        )
+
+    def observe(self, scope: Scope, status: int, spent_s: float) -> None:
+        """Count one request that is over."""
+        route = str(getattr(scope.get("route"), "path", "other"))
+        method = scope["method"] if scope["method"] in _METHODS else "other"
+        self._requests.labels(method, route, str(status)).inc()
+        self._seconds.labels(route).observe(spent_s)
+
+
+class Gate:
+    """Wraps the application; `allowed_hosts` None accepts every Host header."""
+
+    def __init__(self, app: ASGIApp, allowed_hosts: frozenset[str] | None, http_metrics: HttpMetrics) -> None:
+        self._app = app
+        self._allowed_hosts = allowed_hosts
+        self._metrics = http_metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one ASGI connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        request_id = _request_id(headers)
+        scope.setdefault("state", {})["request_id"] = request_id
+        status = 0  # of the reply, once it has begun
+
+        async def send_marked(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                reply = MutableHeaders(scope=message)
+                reply.setdefault("X-Request-ID", request_id)
+                reply.setdefault("X-Content-Type-Options", "nosniff")
+                reply.setdefault("Referrer-Policy", "no-referrer")
+            await send(message)
+
+        begun_s = time.perf_counter()
+        with structlog.contextvars.bound_contextvars(request_id=request_id):
+            refusal = self._refusal(scope, headers)
+            if refusal is not None:
+                kind, detail = refusal
+                await problem_response(scope, KINDS[kind], detail)(scope, receive, send_marked)
+                return
+            try:
+                await self._app(scope, receive, send_marked)
+            except Exception:
+                _log.exception("request failed", method=scope["method"], path=scope["path"])
+                if status:  # the reply has begun: cutting it off is the only way left to tell the client
+                    raise
+                reply = problem_response(
+                    scope,
+                    KINDS["internal"],
+                    "an unexpected error; its details are in the log under this request id",
+                )
+                await reply(scope, receive, send_marked)
+            finally:
+                spent_s = time.perf_counter() - begun_s
+                self._metrics.observe(scope, status, spent_s)
+                _log.debug("request", method=scope["method"], path=scope["path"], seconds=round(spent_s, 6))
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[str, str] | None:
+        """Return the kind of problem and its detail for requests that a strange web page may have caused."""
+        host = headers.get("host", "")
+        if self._allowed_hosts is not None and host_name(host) not in self._allowed_hosts:
+            return "misdirected", f"this server does not answer for the host {host[:200]!r}"
+        origin = headers.get("origin")
+        if origin is not None and scope["method"] not in _SAFE_METHODS and urlsplit(origin).netloc != host:
+            return "not-allowed", "a page of another origin may not change anything here"
+        return None
+
+
+def _request_id(headers: Headers) -> str:
+    """Return the caller's trace or request id where it gives a well-formed one, else a new id."""
+    trace = _TRACE_PARENT.fullmatch(headers.get("traceparent", ""))
+    if trace is not None:
+        return trace.group(1)
+    given = headers.get("x-request-id", "")
+    return given if _REQUEST_ID.fullmatch(given) else secrets.token_hex(8)

@@ -1,0 +1,188 @@
+"""Sites and sensors over HTTP: register, read, change, archive."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, cast
+
+from fastapi import APIRouter, Body, Query, Request, Response, status
+from pydantic import ValidationError
+from sqlalchemy import Connection
+
+from service.api.dependencies import (
+    AdminKey,
+    Cursor,
+    Limit,
+    Reader,
+    ReadKey,
+    SensorPath,
+    ServicesDep,
+)
+from service.api.paging import page_reply
+from service.api.schemas import (
+    Identifier,
+    JsonObject,
+    Page,
+    SensorInput,
+    SensorReply,
+    SiteInput,
+    SitePatch,
+    SiteReply,
+)
+from service.errors import FieldError, InvalidInput, Unavailable
+from service.formats.sensor import SensorConfig
+from service.storage import sites as store
+from service.storage.database import session_scope
+from service.tracking.filters.registry import make_filter
+
+router = APIRouter()
+
+
+@router.post("/sites", status_code=status.HTTP_201_CREATED, tags=["sites"])
+def create_site(body: SiteInput, services: ServicesDep, response: Response, _: AdminKey) -> SiteReply:
+    """Register a site."""
+    with session_scope(services.engine) as writer:
+        site = store.create_site(writer, **body.model_dump(), now_us=_now_us())
+    response.headers["Location"] = f"/api/v1/sites/{site.site_id}"
+    return SiteReply.of(site)
+
+
+@router.get("/sites", tags=["sites"])
+def list_sites(
+    request: Request,
+    reader: Reader,
+    response: Response,
+    _: ReadKey,
+    cursor: Cursor = None,
+    limit: Limit = 1000,
+) -> Page[SiteReply]:
+    """Sites by id."""
+    return page_reply(request, response, store.list_sites(reader, cursor=cursor, limit=limit), SiteReply.of)
+
+
+@router.get("/sites/{site_id}", tags=["sites"])
+def read_site(site_id: Identifier, reader: Reader, _: ReadKey) -> SiteReply:
+    """One site."""
+    return SiteReply.of(store.read_site(reader, site_id))
+
+
+@router.patch("/sites/{site_id}", tags=["sites"])
+def change_site(site_id: Identifier, body: SitePatch, services: ServicesDep, _: AdminKey) -> SiteReply:
+    """Change some fields of a site."""
+    changes = cast("store.SiteChanges", body.model_dump(exclude_unset=True))
+    with session_scope(services.engine) as writer:
+        return SiteReply.of(store.update_site(writer, site_id, changes, now_us=_now_us()))
+
+
+@router.delete("/sites/{site_id}", status_code=status.HTTP_204_NO_CONTENT, tags=["sites"])
+def archive_site(site_id: Identifier, services: ServicesDep, _: AdminKey) -> None:
+    """Take a site without sensors out of use; its id is never given again."""
+    with session_scope(services.engine) as writer:
+        store.archive_site(writer, site_id, now_us=_now_us())
+
+
+@router.post("/sensors", status_code=status.HTTP_201_CREATED, tags=["sensors"])
+def create_sensor(body: SensorInput, services: ServicesDep, response: Response, _: AdminKey) -> SensorReply:
+    """Register a sensor; the content of a site file is accepted as it is."""
+    config = _checked(body.config())
+    if not services.host.ready:
+        raise Unavailable("the service is not ready")
+    with session_scope(services.engine) as writer:
+        sensor = store.create_sensor(writer, config, site_id=body.site_id, name=body.name, now_us=_now_us())
+    services.host.configure(sensor)
+    response.headers["Location"] = f"/api/v1/sensors/{sensor.sensor_id}"
+    return SensorReply.of(sensor)
+
+
+@router.get("/sensors", tags=["sensors"])
+def list_sensors(  # noqa: PLR0913, PLR0917 - one parameter of the query each
+    request: Request,
+    reader: Reader,
+    response: Response,
+    _: ReadKey,
+    site_id: Annotated[Identifier | None, Query()] = None,
+    cursor: Cursor = None,
+    limit: Limit = 1000,
+) -> Page[SensorReply]:
+    """Sensors by id, of one site if given."""
+    page = store.list_sensors(reader, site_id=site_id, cursor=cursor, limit=limit)
+    return page_reply(request, response, page, SensorReply.of)
+
+
+@router.get("/sensors/{sensor_id}", tags=["sensors"])
+def read_sensor(sensor_id: SensorPath, reader: Reader, _: ReadKey) -> SensorReply:
+    """One sensor."""
+    return SensorReply.of(store.read_sensor(reader, sensor_id))
+
+
+@router.patch("/sensors/{sensor_id}", tags=["sensors"])
+def change_sensor(
+    sensor_id: SensorPath,
+    patch: Annotated[JsonObject, Body(media_type="application/merge-patch+json")],
+    services: ServicesDep,
+    _: AdminKey,
+) -> SensorReply:
+    """Change a sensor by a JSON merge patch (RFC 7396); the tracker takes it over between two frames."""
+    with session_scope(services.engine) as writer:
+        sensor = _change(writer, sensor_id, patch)
+    services.host.configure(sensor)
+    return SensorReply.of(sensor)
+
+
+@router.delete("/sensors/{sensor_id}", status_code=status.HTTP_204_NO_CONTENT, tags=["sensors"])
+def archive_sensor(sensor_id: SensorPath, services: ServicesDep, _: AdminKey) -> None:
+    """Take a sensor out of use: it takes no more frames, what it recorded stays readable."""
+    with session_scope(services.engine) as writer:
+        store.archive_sensor(writer, sensor_id, now_us=_now_us())
+    services.host.forget(sensor_id)
+
+
+def _change(writer: Connection, sensor_id: str, patch: JsonObject) -> store.Sensor:
+    before = store.read_sensor(writer, sensor_id)
+    old = {**before.config.model_dump(mode="json"), "site_id": before.site_id, "name": before.name}
+    try:
+        wanted = SensorInput.model_validate(merge(old, patch))
+    except ValidationError as error:
+        raise _invalid(error) from None
+    changes: store.SensorChanges = {
+        "site_id": wanted.site_id,
+        "name": wanted.name if wanted.name is not None else sensor_id,
+        "config": _checked(wanted.config()),
+    }
+    return store.update_sensor(writer, sensor_id, changes, now_us=_now_us())
+
+
+def merge(target: object, patch: object) -> object:
+    """Return the target with a JSON merge patch applied (RFC 7396, section 2)."""
+    if not isinstance(patch, dict):
+        return patch
+    merged = dict(target) if isinstance(target, dict) else {}
+    for name, value in patch.items():
+        if value is None:
+            merged.pop(name, None)
+        else:
+            merged[name] = merge(merged.get(name), value)
+    return merged
+
+
+def _checked(config: SensorConfig) -> SensorConfig:
+    """Return the configuration if the tracker can work with it; raises InvalidInput."""
+    make_filter(config.filter)
+    try:
+        config.tracker_parameters()
+    except InvalidInput as error:
+        errors = [FieldError(f"/parameters{fault.pointer}", fault.reason) for fault in error.errors]
+        raise InvalidInput(f"/parameters{error}", errors) from None
+    return config
+
+
+def _invalid(error: ValidationError) -> InvalidInput:
+    errors = [
+        FieldError("".join(f"/{part}" for part in fault["loc"]), str(fault["msg"]))
+        for fault in error.errors()
+    ]
+    return InvalidInput(f"{errors[0].pointer}: {errors[0].reason}", errors)
+
+
+def _now_us() -> int:
+    return time.time_ns() // 1000

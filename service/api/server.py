@@ -1,0 +1,131 @@
+"""Run the service: database, host and application behind one HTTP server, until a signal ends it."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI
+from sqlalchemy import Engine
+
+from service.api.app import create_app
+from service.api.dependencies import Services
+from service.api.security import is_loopback
+from service.errors import InvalidInput, StorageError
+from service.pipeline.host import EmbeddedHost
+from service.settings import Settings
+from service.storage.database import connection, open_database
+from service.storage.keys import list_keys
+from service.storage.migrate import upgrade
+
+GRACE_S = 10  # for requests under way when the service is told to stop; streams end at once
+BACKLOG = 512
+
+
+def run(settings: Settings, *, insecure: bool = False, on_ready: Callable[[str], None] | None = None) -> None:
+    """Serve until SIGTERM or SIGINT; prints nothing. `on_ready` hears the address once requests are answered.
+
+    Raises InvalidInput when other machines could reach the service without any key (unless `insecure`), and
+    StorageError when the port, the database or the data directory cannot be used.
+    """
+    engine = open_database(settings.rows_url)
+    try:
+        upgrade(engine)
+        refuse_open_network(engine, settings, insecure=insecure)
+        app = create_app(EmbeddedHost(engine, settings), engine, settings, insecure=insecure)
+        with listening(settings) as listener, _calm_signals():
+            server = Server(app, settings, on_ready)
+            server.run(sockets=[listener])
+        if not server.started:
+            raise StorageError("the service could not start; the log says why")
+    finally:
+        engine.dispose()
+
+
+def refuse_open_network(engine: Engine, settings: Settings, *, insecure: bool) -> None:
+    """Raise InvalidInput when the address can be reached from outside and no key is there to ask for."""
+    if insecure or is_loopback(settings.host):
+        return
+    with connection(engine) as reader:
+        if not list_keys(reader, limit=1).items:
+            raise InvalidInput.at(
+                "/host",
+                f"{settings.host} can be reached from other machines, and there is no API key yet; "
+                "create one by `wayside key create --scope admin`, or allow this by --insecure",
+            )
+
+
+class Server(uvicorn.Server):
+    """A uvicorn server that says when it is ready, and ends waiting replies before it waits for them."""
+
+    def __init__(
+        self, app: FastAPI, settings: Settings, on_ready: Callable[[str], None] | None = None
+    ) -> None:
+        super().__init__(
+            uvicorn.Config(
+                app,
+                log_config=None,  # structlog has the log
+                access_log=False,
+                server_header=False,
+                backlog=BACKLOG,
+                timeout_graceful_shutdown=GRACE_S,
+            )
+        )
+        self._services: Services = app.state.services
+        self._settings = settings
+        self._on_ready = on_ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start the application and listen."""
+        await super().startup(sockets=sockets)
+        if self.started and self._on_ready is not None and sockets:
+            self._on_ready(address(self._settings.host, sockets[0].getsockname()[1]))
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End streams and long polls, let the other requests finish, stop the application."""
+        self._services.closing.set()
+        await super().shutdown(sockets=sockets)
+
+
+def address(host: str, port: int) -> str:
+    """Return the URL of the service as a browser on this machine would open it."""
+    if host in {"0.0.0.0", "::", ""}:  # noqa: S104 - shown, not bound
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+@contextmanager
+def listening(settings: Settings) -> Iterator[socket.socket]:
+    """Yield a socket bound to the address of the settings; raises StorageError when it is taken."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((settings.host, settings.port))
+        except OSError as error:
+            raise StorageError(
+                f"cannot listen on {settings.host} port {settings.port}: {error.strerror or error}"
+            ) from None
+        yield listener
+    finally:
+        listener.close()
+
+
+@contextmanager
+def _calm_signals() -> Iterator[None]:
+    """Keep uvicorn from raising the signals again that it has already answered by an orderly stop."""
+
+    def ignore(_signal: int, _frame: FrameType | None) -> None:
+        """Do nothing: uvicorn has handled the signal and gives it back when it is done."""
+
+    kept = {number: signal.signal(number, ignore) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
