@@ -6,6 +6,7 @@ psycopg.
 
 from __future__ import annotations
 
+import functools
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -89,7 +90,7 @@ def is_postgresql(connection: Connection) -> bool:
 
 def insert_or_ignore(connection: Connection, table: str) -> sqlite.Insert | postgresql.Insert:
     """Return an insert into the named table that leaves a row which is there already as it is."""
-    return _insert(connection, table).on_conflict_do_nothing()
+    return _insert(connection.dialect.name, table).on_conflict_do_nothing()
 
 
 def insert_or_advance(
@@ -99,7 +100,13 @@ def insert_or_advance(
 
     The columns of `keep` stay as they were first written.
     """
-    insert = _insert(connection, table)
+    return _advance(connection.dialect.name, table, keep)
+
+
+@functools.cache
+def _advance(dialect: str, table: str, keep: frozenset[str]) -> sqlite.Insert | postgresql.Insert:
+    # Kept, because building it takes longer than writing the rows of a second.
+    insert = _insert(dialect, table)
     target = metadata.tables[table]
     key = [column.name for column in target.primary_key]
     replaced = {c.name: insert.excluded[c.name] for c in target.columns if c.name not in keep.union(key)}
@@ -107,9 +114,9 @@ def insert_or_advance(
     return insert.on_conflict_do_update(index_elements=key, set_=replaced, where=newer)
 
 
-def _insert(connection: Connection, table: str) -> sqlite.Insert | postgresql.Insert:
+def _insert(dialect: str, table: str) -> sqlite.Insert | postgresql.Insert:
     target = metadata.tables[table]
-    return postgresql.insert(target) if is_postgresql(connection) else sqlite.insert(target)
+    return postgresql.insert(target) if dialect == "postgresql" else sqlite.insert(target)
 
 
 def _open_sqlite(address: URL) -> Engine:

@@ -29,14 +29,15 @@ def pack(samples: bytes) -> bytes:
     if len(samples) % _SIZE or len(samples) // _SIZE > np.iinfo(np.uint16).max:
         raise StorageError(f"a block of {len(samples)} bytes is no array of {_SIZE}-byte samples")
     table = np.frombuffer(samples, np.uint8).reshape(-1, _SIZE)
-    rest = table[:, _SPLIT:].T
-    steps = np.diff(rest, axis=1, prepend=np.uint8(0))
+    rest = table[:, _SPLIT:]
+    steps = rest.copy()
+    steps[1:] -= rest[:-1]  # modulo 256, as the sum in unpack_array
     deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, _MEMORY_LEVEL)
     return b"".join(
         (
             _COUNT.pack(len(table)),
             table[:, :_SPLIT].tobytes(),
-            deflate.compress(steps.tobytes()),
+            deflate.compress(steps.T.tobytes()),
             deflate.flush(),
         )
     )

@@ -8,9 +8,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, func, select
 
+from service.formats.tracks import StoredStates
 from service.storage.database import connection as reading
 from service.storage.samples import unpack_array
 from service.storage.sites import ordinal_of
@@ -24,14 +24,13 @@ _US_PER_MS: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class StateFrame:
-    """The stored states of all tracks (T) after one frame, by number."""
+    """What is stored of one frame; `formats.tracks.stored_line` makes its line of tracks.jsonl."""
 
     sensor_id: str
     epoch: int
     frame: int
     time_us: int  # to the millisecond
-    number: NDArray[np.int64]  # (T,)
-    samples: NDArray[np.void]  # (T,) of STATE_SAMPLE
+    states: StoredStates
 
 
 def stream_states(engine: Engine, sensor_id: str, start_us: int, end_us: int) -> Iterator[StateFrame]:
@@ -94,8 +93,7 @@ def _frames(connection: Connection, sensor: tuple[str, int], second: int, end: i
             epoch=int(epoch[order[a]]),
             frame=int(frame[order[a]]),
             time_us=int(time_us[order[a]]),
-            number=number[order[a:b]],
-            samples=samples[order[a:b]],
+            states=StoredStates(number[order[a:b]], samples[order[a:b]]),
         )
         for a, b in pairwise((0, *changes.tolist(), len(order)))
     ]
