@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, nullcontext
 from types import FrameType
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -15,35 +17,52 @@ from sqlalchemy import Engine
 from service.api.app import create_app
 from service.api.dependencies import Services
 from service.api.security import is_loopback
-from service.errors import InvalidInput, StorageError
+from service.errors import InvalidInput, StorageError, WaysideError
 from service.pipeline.host import EmbeddedHost
 from service.settings import Settings
 from service.storage.database import connection, open_database
 from service.storage.keys import list_keys
 from service.storage.migrate import upgrade
 
+Beside = Callable[[EmbeddedHost], AbstractAsyncContextManager[None]]
+
 GRACE_S = 10  # for requests under way when the service is told to stop; streams end at once
 BACKLOG = 512
 
 
-def run(settings: Settings, *, insecure: bool = False, on_ready: Callable[[str], None] | None = None) -> None:
+def run(
+    settings: Settings,
+    *,
+    insecure: bool = False,
+    on_ready: Callable[[str], None] | None = None,
+    prepare: Callable[[Engine], None] | None = None,
+    beside: Beside | None = None,
+) -> None:
     """Serve until SIGTERM or SIGINT; prints nothing. `on_ready` hears the address once requests are answered.
 
-    Raises InvalidInput when other machines could reach the service without any key (unless `insecure`), and
-    StorageError when the port, the database or the data directory cannot be used.
+    `prepare` works on the migrated database before anything starts; `beside` runs in the event loop as long
+    as the host does. Raises InvalidInput when other machines could reach the service without any key (unless
+    `insecure`), and StorageError when the port, the database or the data directory cannot be used.
     """
-    engine = open_database(settings.rows_url)
-    try:
-        upgrade(engine)
-        refuse_open_network(engine, settings, insecure=insecure)
-        app = create_app(EmbeddedHost(engine, settings), engine, settings, insecure=insecure)
-        with listening(settings) as listener, _calm_signals():
+    with listening(settings) as listener:
+        engine = open_database(settings.rows_url)
+        try:
+            upgrade(engine)
+            if prepare is not None:
+                prepare(engine)
+            refuse_open_network(engine, settings, insecure=insecure)
+            host = EmbeddedHost(engine, settings)
+            app = create_app(host, engine, settings, insecure=insecure)
+            failures = _watch(app, host, beside)
             server = Server(app, settings, on_ready)
-            server.run(sockets=[listener])
-        if not server.started:
-            raise StorageError("the service could not start; the log says why")
-    finally:
-        engine.dispose()
+            with _calm_signals():
+                server.run(sockets=[listener])
+            if failures:
+                raise failures[0]
+            if not server.started:
+                raise StorageError("the service could not start; the log says why")
+        finally:
+            engine.dispose()
 
 
 def refuse_open_network(engine: Engine, settings: Settings, *, insecure: bool) -> None:
@@ -57,6 +76,24 @@ def refuse_open_network(engine: Engine, settings: Settings, *, insecure: bool) -
                 f"{settings.host} can be reached from other machines, and there is no API key yet; "
                 "create one by `wayside key create --scope admin`, or allow this by --insecure",
             )
+
+
+def _watch(app: FastAPI, host: EmbeddedHost, beside: Beside | None) -> list[WaysideError]:
+    """Run `beside` within the application's life; return where the reason of a failed start will stand."""
+    inner, failures = app.router.lifespan_context, list[WaysideError]()
+
+    @asynccontextmanager
+    async def life(application: FastAPI) -> AsyncIterator[Any]:
+        try:
+            async with inner(application) as state, beside(host) if beside is not None else nullcontext():
+                yield state
+        except WaysideError as error:
+            failures.append(error)
+            logging.getLogger("uvicorn.error").disabled = True  # it would add a traceback to the reason
+            raise
+
+    app.router.lifespan_context = life
+    return failures
 
 
 class Server(uvicorn.Server):
@@ -109,7 +146,8 @@ def listening(settings: Settings) -> Iterator[socket.socket]:
             listener.bind((settings.host, settings.port))
         except OSError as error:
             raise StorageError(
-                f"cannot listen on {settings.host} port {settings.port}: {error.strerror or error}"
+                f"cannot listen on {settings.host} port {settings.port}: {error.strerror or error}; "
+                "choose another by --port or WAYSIDE_PORT (0: any free one)"
             ) from None
         yield listener
     finally:
