@@ -104,7 +104,16 @@ def _fold_frame(state: FoldState[S], released: Released, out: _Output, tracker: 
     collected, rows = collect_frame(state.collected, moment, released.number, estimates)
     out.rows.append(rows)
     out.folded.append(
-        Folded(state.position, released.number, released.boot, frame.time_us, estimates, report, frame)
+        Folded(
+            state.position,
+            state.epoch,
+            released.number,
+            released.boot,
+            frame.time_us,
+            estimates,
+            report,
+            frame,
+        )
     )
     return replace(
         state,
@@ -127,7 +136,9 @@ def _fold_ticks(state: FoldState[S], before_us: int, out: _Output, tracker: Trac
         collected, rows = collect_tick(state.collected, _moment(state, time_us), estimates)
         out.rows.append(rows)
         out.folded.append(
-            Folded(state.position, state.frame_number, state.boot, time_us, estimates, report, None)
+            Folded(
+                state.position, state.epoch, state.frame_number, state.boot, time_us, estimates, report, None
+            )
         )
         state = replace(state, tracker=tracked, collected=collected, ticks=state.ticks + 1)
         if state.order.time_us is None or time_us > state.order.time_us:

@@ -90,6 +90,7 @@ class Folded:
     """The tracks after one frame, or after a tick (`frame` is None then)."""
 
     position: int  # of the record that led to it
+    epoch: int
     number: int  # of the newest frame
     boot: int
     time_us: int

@@ -92,13 +92,14 @@ class SqliteLog:
 
         Raises Unavailable when the log or the disk is full, and InvalidFrame when a frame cannot be stored.
         """
-        return self._submit(sensor_id, records).result()
+        return self.append_later(sensor_id, records).result()
 
     def append_async(self, sensor_id: str, records: Sequence[Record]) -> asyncio.Future[list[int]]:
         """Do the same as `append` without blocking the event loop; await what is returned."""
-        return asyncio.wrap_future(self._submit(sensor_id, records))
+        return asyncio.wrap_future(self.append_later(sensor_id, records))
 
-    def _submit(self, sensor_id: str, records: Sequence[Record]) -> Future[list[int]]:
+    def append_later(self, sensor_id: str, records: Sequence[Record]) -> Future[list[int]]:
+        """Do the same without waiting; the future gives the positions once the records are durable."""
         pending = _Pending(sensor_id, records, Future())
         pending.done.set_running_or_notify_cancel()  # a caller that goes away does not take its records back
         with self._guard:
@@ -245,6 +246,11 @@ class SqliteLog:
         """Put the sensor's next record behind `position`, as when its log was lost and its rows were not."""
         with self._guard:
             self._last[sensor_id] = max(position, self._last.get(sensor_id, 0))
+
+    def sensors(self) -> set[str]:
+        """Return the sensors of which records are kept."""
+        with self._guard:
+            return {sensor_id for segment in self._segments for sensor_id in segment.extents}
 
     def release(self, sensor_id: str, position: int) -> None:
         """Allow the sensor's records up to `position` to be dropped when the log is too large."""

@@ -41,6 +41,14 @@ def recording(count: int, *, first: int = 1, start_us: int = START_US, vehicles:
     return [frame(first + i, start_us + i * PERIOD_US, vehicles=vehicles) for i in range(count)]
 
 
+def pausing_recording() -> list[Frame]:
+    """A recording with a gap in its numbers, a repeat, a swap and a long pause."""
+    first = recording(40)
+    later = recording(40, first=41, start_us=first[-1].time_us + 4_300_000)
+    frames = [*first[:10], *first[11:20], first[21], first[20], *first[22:], *later]
+    return [*frames[:5], frames[3], *frames[5:]]
+
+
 def records(frames: Iterable[Frame]) -> list[Record]:
     return [FrameRecord(item, received_us=0) for item in frames]
 

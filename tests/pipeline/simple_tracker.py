@@ -30,12 +30,12 @@ class SimpleState:
         return len(self.number) == 0
 
 
-def initial_state(parameters: TrackerParameters | None = None) -> SimpleState:  # noqa: ARG001
+def initial_state(parameters: TrackerParameters | None = None) -> SimpleState:
     whole, plane = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     return SimpleState(whole, plane, plane, whole, whole, whole, next_number=1, time_us=0)
 
 
-def step(state: SimpleState, frame: Frame, parameters: TrackerParameters):  # noqa: ARG001
+def step(state: SimpleState, frame: Frame, parameters: TrackerParameters):
     assert frame.time_us > state.time_us, "time must go on"
     state = _predict(state, frame.time_us)
     points = np.column_stack(
@@ -72,7 +72,7 @@ def step(state: SimpleState, frame: Frame, parameters: TrackerParameters):  # no
     return state, _estimates(state), StepReport(points=len(frame), born=count)
 
 
-def coast(state: SimpleState, time_us: int, parameters: TrackerParameters):  # noqa: ARG001
+def coast(state: SimpleState, time_us: int, parameters: TrackerParameters):
     assert time_us > state.time_us, "time must go on"
     state = _forget(_predict(state, time_us))
     return state, _estimates(state), StepReport()

@@ -171,10 +171,14 @@ def small_log(tmp_path, monkeypatch):
     opened.close()
 
 
+def append_all(frame_log, wanted) -> None:
+    for record in wanted:
+        frame_log.append("radar-1", [record])
+
+
 def fill(frame_log) -> int:
     with pytest.raises(Unavailable, match="the log is full") as refusal:
-        for record in big_records(200):
-            frame_log.append("radar-1", [record])
+        append_all(frame_log, big_records(200))
     assert refusal.value.retry_after_s > 0
     return frame_log.last_position("radar-1")
 

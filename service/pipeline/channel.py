@@ -1,0 +1,171 @@
+"""One sensor in the host: where its fold stands, and how it is found again after a restart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Generic
+
+from sqlalchemy import Engine
+
+from service.errors import SnapshotUnreadable
+from service.formats.sensor import SensorConfig
+from service.pipeline import fold_snapshot
+from service.pipeline.fold import start
+from service.pipeline.fold_state import Folded, FoldState, S, Tracker
+from service.pipeline.log import FrameLog
+from service.pipeline.order import OrderState, admit, flush
+from service.pipeline.records import ControlRecord, FrameRecord
+from service.storage.database import session_scope
+from service.storage.rows import Rows, TrackKey, TrackSummary
+from service.storage.shards import Shard, Snapshot, begin_epoch, load_shard, save_snapshot
+
+FIRST_START = "first start"
+_READ_RECORDS = 500  # at a time while the log's tail is looked through
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A new epoch that the fold began and the database does not know yet."""
+
+    first_position: int
+    reason: str
+    time_us: int
+
+
+@dataclass(slots=True)
+class Channel(Generic[S]):
+    """One sensor's place in the host. The tracker thread owns it, but for the fields of the door."""
+
+    sensor_id: str
+    state: FoldState[S]
+    shard: Shard
+    snapshot_position: int
+    snapshot_at_s: float  # monotonic
+    # The door: written by the event loop (and by whoever configures the sensor).
+    config: SensorConfig
+    door: OrderState  # what the order will be once every logged record is folded
+    durable_door: OrderState  # the same for the records known to be durable
+    heard_us: int  # host's time of the newest arrival
+    # The tracker thread:
+    rows: list[Rows] = field(default_factory=list)
+    restarts: list[Restart] = field(default_factory=list)
+    frames_since_snapshot: int = 0
+    tick: Future[list[int]] | None = None  # being appended
+    received_us: int | None = None  # of the newest folded frame
+    newest: Folded | None = None  # frame or tick
+    newest_frame: Folded | None = None
+    folded_unstored_us: list[int] = field(
+        default_factory=list
+    )  # when frames since the last flush were folded
+    stored_us: int | None = None
+    failure: str | None = None
+    leaving: bool = False
+
+    def take_rows(self) -> Rows:
+        """Return what was collected since the last flush, each track's newest summary only."""
+        return merge_rows(self.rows)
+
+
+def merge_rows(parts: Iterable[Rows]) -> Rows:
+    """Return the rows of several records as one; of a track only the newest summary remains."""
+    parts = list(parts)
+    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in parts for row in rows.tracks}
+    return Rows(
+        blocks=tuple(block for rows in parts for block in rows.blocks),
+        tracks=tuple(tracks.values()),
+        events=tuple(event for rows in parts for event in rows.events),
+    )
+
+
+def open_channel(  # noqa: PLR0913 - what a restart needs
+    database: Engine,
+    log: FrameLog,
+    config: SensorConfig,
+    tracker: Tracker[S],
+    *,
+    now_us: int,
+    now_s: float,
+) -> Channel[S]:
+    """Find a sensor's state again, or begin an epoch, and make sure that the log holds its configuration.
+
+    Raises NotFound when the sensor is not registered, Unavailable when the log or the database is.
+    """
+    sensor_id = config.sensor_id
+    with session_scope(database) as connection:
+        shard = load_shard(connection, sensor_id)
+    found = FIRST_START if shard is None else _resume(log, shard, config, tracker)
+    if shard is None or isinstance(found, str):
+        state, shard = _begin(database, log, shard, config, tracker, reason=str(found), now_us=now_us)
+    else:
+        state = found
+    log.reserve(sensor_id, shard.cursor)
+    order, logged = _look_through(log, state)
+    if logged != config.canonical_json() or log.last_position(sensor_id) < state.epoch_first_position:
+        log.append(sensor_id, [ControlRecord(config.canonical_json(), now_us)])
+        order, _ = flush(order)
+    position = 0 if shard.snapshot is None else shard.snapshot.position
+    return Channel(sensor_id, state, shard, position, now_s, config, order, order, now_us)
+
+
+def _resume(log: FrameLog, shard: Shard, config: SensorConfig, tracker: Tracker[S]) -> FoldState[S] | str:
+    """Return the state to go on from, or why there is none."""
+    first, last = log.first_position(shard.sensor_id), log.last_position(shard.sensor_id)
+    kept = first or last + 1  # the oldest position that can still be read
+    if last < shard.cursor:
+        return f"the log ends at position {last}, rows are stored up to {shard.cursor}"
+    reason = "no snapshot is stored"
+    if shard.snapshot is not None:
+        try:
+            state = fold_snapshot.load(shard.snapshot.state, tracker)
+        except SnapshotUnreadable as error:
+            reason = str(error)
+        else:
+            if state.epoch == shard.epoch and kept <= state.position + 1:
+                return state
+            reason = f"the log begins at position {kept}, the snapshot is of {state.position}"
+    # Only the first epoch begins with a control record, so only it can be folded again without a snapshot.
+    if shard.epoch == 1 and kept <= shard.epoch_first_position:
+        return start(shard.sensor_id, 1, config, tracker, first_position=shard.epoch_first_position)
+    return reason
+
+
+def _begin(  # noqa: PLR0913 - what an epoch needs
+    database: Engine,
+    log: FrameLog,
+    shard: Shard | None,
+    config: SensorConfig,
+    tracker: Tracker[S],
+    *,
+    reason: str,
+    now_us: int,
+) -> tuple[FoldState[S], Shard]:
+    """Open the next epoch behind what is stored, with its empty state as its first snapshot."""
+    sensor_id = config.sensor_id
+    first, last = log.first_position(sensor_id), log.last_position(sensor_id)
+    after = last if shard is None else max(shard.cursor, first - 1)
+    with session_scope(database) as connection:
+        opened = begin_epoch(
+            connection, sensor_id, first_position=after + 1, reason=reason, time_us=now_us, now_us=now_us
+        )
+        state = start(sensor_id, opened.epoch, config, tracker, first_position=after + 1)
+        snapshot = Snapshot(after, fold_snapshot.dump(state))
+        save_snapshot(connection, opened, snapshot, now_us=now_us)
+    return state, Shard(sensor_id, opened.epoch, after + 1, after, snapshot)
+
+
+def _look_through(log: FrameLog, state: FoldState[S]) -> tuple[OrderState, str]:
+    """Return the order and the configuration at the log's end, without tracking what lies before it."""
+    order, config, position = state.order, state.config, state.position
+    while records := log.read(state.sensor_id, position, _READ_RECORDS):
+        for position, record in records:  # noqa: B007 - the last one is where the next read begins
+            match record:
+                case FrameRecord():
+                    order, _ = admit(order, record.frame)
+                case ControlRecord():
+                    order, _ = flush(order)
+                    config = record.config
+                case _:
+                    order, _ = flush(order)
+    return order, config

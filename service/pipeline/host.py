@@ -1,0 +1,354 @@
+"""The embedded host: takes frames in, has them folded, and answers where everything stands. One process."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from types import ModuleType
+from typing import Any
+
+import structlog
+from sqlalchemy import Engine
+
+from service.errors import NotFound, Unavailable, WaysideError
+from service.formats.sensor import SensorConfig
+from service.pipeline.channel import Channel, open_channel
+from service.pipeline.fold_state import Tracker
+from service.pipeline.live import LiveState, LiveView
+from service.pipeline.order import Fate, admit, flush
+from service.pipeline.records import ControlRecord, FrameRecord, Record
+from service.pipeline.sqlite_log import LogLimits, SqliteLog
+from service.pipeline.tracker_thread import Pace, TrackerThread
+from service.settings import Settings
+from service.storage.database import connection as reading
+from service.storage.sites import Sensor, list_sensors
+from service.storage.upkeep import Retention, keep_up
+from service.telemetry import Telemetry
+from service.tracking import tracker as default_tracker
+from service.tracking.model import Frame
+
+_log = structlog.get_logger(__name__)
+
+_US_PER_S = 1_000_000
+_PAGE = 1000
+
+
+class Outcome(StrEnum):
+    """What the caller hears of a posted frame; the fold decides by log order."""
+
+    ACCEPTED = "accepted"
+    DUPLICATE = "duplicate"
+    LATE = "late"
+    CONFLICT = "conflict"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True, slots=True)
+class ItemResult:
+    """What became of one posted frame."""
+
+    outcome: Outcome
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SensorHealth:
+    """Where one sensor stands."""
+
+    sensor_id: str
+    state: LiveState
+    failure: str | None  # why its frames are not tracked any more
+    epoch: int
+    logged_position: int
+    folded_position: int
+    stored_position: int
+    received_us: int | None  # host's time of the newest folded frame
+    frame_age_s: float | None  # since then
+    stored_age_s: float | None  # since rows were stored last
+    clock_ahead_s: float | None  # the sensor's clock less the host's, at the newest frame; transport included
+
+    @property
+    def queue_depth(self) -> int:
+        """Records that are logged and not folded."""
+        return self.logged_position - self.folded_position
+
+
+@dataclass(frozen=True, slots=True)
+class HostHealth:
+    """Where the whole host stands."""
+
+    ready: bool
+    tracking: bool  # the tracker thread runs
+    log_bytes: int
+    log_damaged_records: int
+    sensors: tuple[SensorHealth, ...]
+
+
+def wall_clock_us() -> int:
+    """Return the time of the machine in microseconds since 1970."""
+    return time.time_ns() // 1000
+
+
+class EmbeddedHost:
+    """Log, tracker thread and live view of one process on one data directory."""
+
+    def __init__(
+        self,
+        database: Engine,
+        settings: Settings,
+        *,
+        tracker: Tracker[Any] | ModuleType = default_tracker,
+        telemetry: Telemetry | None = None,
+        clock_us: Callable[[], int] = wall_clock_us,
+    ) -> None:
+        """Make a host on a migrated database; `start` opens its log."""
+        self.live = LiveView()
+        self.telemetry = telemetry or Telemetry()
+        self._database = database
+        self._settings = settings
+        self._tracker: Any = tracker
+        self._clock_us = clock_us
+        self._channels: dict[str, Channel[Any]] = {}  # replaced, never changed
+        self._configuring = threading.Lock()
+        self._frame_log: SqliteLog | None = None
+        self._thread: TrackerThread[Any] | None = None
+        self._upkeep: threading.Thread | None = None
+        self._stopped = threading.Event()
+        self.ready = False
+
+    # ------------------------------------------------------------- life
+
+    def start(self) -> None:
+        """Open the log, find every sensor's state again, and begin to track.
+
+        Raises StorageError when another process uses the data directory.
+        """
+        limits = LogLimits(
+            total_bytes=self._settings.log_limit_bytes,
+            segment_bytes=self._settings.log_segment_bytes,
+            free_share=self._settings.disk_free_min_share,
+        )
+        self._frame_log = SqliteLog(self._settings.log_dir, limits, on_durable=self._on_durable)
+        pace = Pace(
+            self._settings.flush_interval_s,
+            self._settings.snapshot_interval_s,
+            self._settings.snapshot_frames,
+        )
+        self._thread = TrackerThread(
+            self._database,
+            self._frame_log,
+            self.live,
+            self._tracker,
+            self.telemetry,
+            pace=pace,
+            clock_us=self._clock_us,
+        )
+        for sensor in self._registered():
+            self.configure(sensor)
+        for sensor_id in self._frame_log.sensors() - self._channels.keys():
+            self._frame_log.release(sensor_id, self._frame_log.last_position(sensor_id))
+        self._thread.start()
+        self._upkeep = threading.Thread(target=self._keep_up, name="wayside-upkeep", daemon=True)
+        self._upkeep.start()
+        self.ready = True
+
+    def stop(self) -> None:
+        """Take no more frames, fold and store what is logged, and let go of the files."""
+        self.ready = False
+        self._stopped.set()
+        if self._thread is not None and self._thread.alive:
+            self._thread.stop()
+        if self._upkeep is not None:
+            self._upkeep.join()
+        if self._frame_log is not None:
+            self._frame_log.close()
+
+    def _registered(self) -> list[Sensor]:
+        found: list[Sensor] = []
+        cursor: str | None = None
+        with reading(self._database) as connection:
+            while True:
+                page = list_sensors(connection, cursor=cursor, limit=_PAGE)
+                found += page.items
+                cursor = page.next_cursor
+                if cursor is None:
+                    return found
+
+    def _keep_up(self) -> None:
+        """Let go of expired rows, now and each hour."""
+        retention = Retention(
+            self._settings.states_days, self._settings.tracks_days, self._settings.events_days
+        )
+        while True:
+            try:
+                expired = keep_up(self._database, retention, now_us=self._clock_us())
+                _log.debug("upkeep done", state_blocks=expired.state_blocks, tracks=expired.tracks)
+            except WaysideError as error:
+                _log.warning("upkeep put off", reason=str(error))
+            if self._stopped.wait(self._settings.upkeep_interval_s):
+                return
+
+    # ------------------------------------------------------------- sensors
+
+    def configure(self, sensor: Sensor) -> None:
+        """Take a registered sensor in, or its changed configuration; durable when this returns.
+
+        Blocks for the disk, so not for the event loop. Raises Unavailable when the log is full.
+        """
+        frame_log = self._log()
+        with self._configuring:
+            channel = self._channels.get(sensor.sensor_id)
+            if channel is None:
+                self._take_in(sensor)
+            elif channel.config != sensor.config:
+                record = ControlRecord(sensor.config.canonical_json(), self._clock_us())
+                frame_log.append(sensor.sensor_id, [record])
+                channel.config = sensor.config
+                channel.door, _ = flush(channel.door)
+
+    def _take_in(self, sensor: Sensor) -> None:
+        channel = open_channel(
+            self._database,
+            self._log(),
+            sensor.config,
+            self._tracker,
+            now_us=self._clock_us(),
+            now_s=time.monotonic(),
+        )
+        self._channels = {**self._channels, sensor.sensor_id: channel}
+        if self._thread is not None:
+            self._thread.add(channel)
+
+    def forget(self, sensor_id: str) -> None:
+        """Take no more frames of a sensor; what is logged is still folded and stored."""
+        with self._configuring:
+            channel = self._channels.get(sensor_id)
+            self._channels = {k: v for k, v in self._channels.items() if k != sensor_id}
+        if channel is not None and self._thread is not None:
+            channel.leaving = True
+            self._thread.wake()
+
+    def config(self, sensor_id: str) -> SensorConfig:
+        """Return the configuration by which a sensor's frames are decoded; raises NotFound."""
+        return self._channel(sensor_id).config
+
+    def _channel(self, sensor_id: str) -> Channel[Any]:
+        channel = self._channels.get(sensor_id)
+        if channel is None:
+            raise NotFound(f"no sensor {sensor_id}")
+        return channel
+
+    def _log(self) -> SqliteLog:
+        if self._frame_log is None:
+            raise Unavailable("the service has not started yet")
+        return self._frame_log
+
+    # ------------------------------------------------------------- frames
+
+    async def submit(self, sensor_id: str, frames: Sequence[Frame]) -> list[ItemResult]:
+        """Log frames of a sensor and return, once they are durable, what became of each.
+
+        Raises NotFound, and Unavailable when the log or the disk is full.
+        """
+        channel, frame_log = self._channel(sensor_id), self._log()
+        if not self.ready:
+            raise Unavailable("the service is not ready")
+        received_us, started_s = self._clock_us(), time.perf_counter()
+        results: list[ItemResult] = []
+        records: list[Record] = []
+        door = channel.door
+        for frame in frames:
+            refusal = self._refusal(sensor_id, frame, received_us)
+            if refusal is not None:
+                results.append(ItemResult(Outcome.REJECTED, refusal))
+                continue
+            door, admission = admit(door, frame)
+            results.append(_result(admission.fate, frame))
+            records.append(FrameRecord(frame, received_us))
+        if not records:
+            return results
+        channel.door = door
+        try:
+            await frame_log.append_async(sensor_id, records)
+        except WaysideError:
+            # The frames will come again: they must not be taken for repeats then.
+            channel.door = channel.durable_door
+            raise
+        channel.durable_door = door
+        channel.heard_us = received_us
+        self.telemetry.stage.labels("durable").observe(time.perf_counter() - started_s)
+        return results
+
+    def _refusal(self, sensor_id: str, frame: Frame, received_us: int) -> str | None:
+        if frame.sensor_id != sensor_id:
+            return f"the frame is of {frame.sensor_id}, not of {sensor_id}"
+        ahead_s = (frame.time_us - received_us) / _US_PER_S
+        limit_s = self._settings.clock_ahead_limit_s
+        if ahead_s > limit_s:
+            return f"its time is {ahead_s:.0f} s ahead of the host's, want at most {limit_s:.0f} s"
+        return None
+
+    def _on_durable(self, sensor_id: str, position: int) -> None:  # noqa: ARG002 - what the log tells
+        if self._thread is not None:
+            self._thread.wake()
+
+    # ------------------------------------------------------------- health
+
+    def health(self) -> HostHealth:
+        """Return where every sensor and the log stand, and bring the gauges up to date."""
+        now_us = self._clock_us()
+        sensors = tuple(self._sensor_health(channel, now_us) for channel in self._channels.values())
+        for sensor in sensors:
+            self.telemetry.queue.labels(sensor.sensor_id).set(sensor.queue_depth)
+        log_bytes = 0 if self._frame_log is None else self._frame_log.size_bytes()
+        damaged = 0 if self._frame_log is None else self._frame_log.damaged_records
+        self.telemetry.log_bytes.set(log_bytes)
+        self.telemetry.log_damaged.set(damaged)
+        return HostHealth(
+            ready=self.ready,
+            tracking=self._thread is not None and self._thread.alive,
+            log_bytes=log_bytes,
+            log_damaged_records=damaged,
+            sensors=sensors,
+        )
+
+    def _sensor_health(self, channel: Channel[Any], now_us: int) -> SensorHealth:
+        entry = self.live.newest(channel.sensor_id)
+        received_us, newest = channel.received_us, channel.newest_frame
+        return SensorHealth(
+            sensor_id=channel.sensor_id,
+            state="waiting" if entry is None else entry.state(now_us),
+            failure=channel.failure,
+            epoch=channel.state.epoch,
+            logged_position=self._log().last_position(channel.sensor_id),
+            folded_position=channel.state.position,
+            stored_position=channel.shard.cursor,
+            received_us=received_us,
+            frame_age_s=_age_s(now_us, received_us),
+            stored_age_s=_age_s(now_us, channel.stored_us),
+            clock_ahead_s=(
+                None if newest is None or received_us is None else (newest.time_us - received_us) / _US_PER_S
+            ),
+        )
+
+
+def _age_s(now_us: int, then_us: int | None) -> float | None:
+    return None if then_us is None else (now_us - then_us) / _US_PER_S
+
+
+def _result(fate: Fate, frame: Frame) -> ItemResult:
+    name = f"at {frame.time_us} us" if frame.sequence is None else str(frame.sequence)
+    match fate:
+        case Fate.DUPLICATE:
+            return ItemResult(Outcome.DUPLICATE)
+        case Fate.LATE:
+            return ItemResult(
+                Outcome.LATE, f"frame {name} came after later ones were tracked; it is kept, not tracked"
+            )
+        case Fate.CONFLICT:
+            return ItemResult(Outcome.CONFLICT, f"frame {name} came before with another content")
+        case _:
+            return ItemResult(Outcome.ACCEPTED)

@@ -1,0 +1,98 @@
+"""What the service tells of itself: metrics in Prometheus' format, and log lines with keys."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Literal
+
+import structlog
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from service import __version__
+
+_LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+_STAGE_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+_STEP_BUCKETS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5)
+
+
+class Telemetry:
+    """The metrics of one host, in a registry of its own. Sensors are labels, tracks never."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        sensor = ("sensor_id",)
+        self.frames = Counter(
+            "wayside_frames", "Frames by what became of them.", (*sensor, "fate"), registry=self.registry
+        )
+        self.missing = Counter(
+            "wayside_frames_missing", "Frame numbers that never came.", sensor, registry=self.registry
+        )
+        self.points = Counter("wayside_points", "Points of folded frames.", sensor, registry=self.registry)
+        self.clusters = Counter(
+            "wayside_clusters", "Clusters found in folded frames.", sensor, registry=self.registry
+        )
+        self.tracks = Gauge(
+            "wayside_tracks", "Tracks after the newest frame.", (*sensor, "status"), registry=self.registry
+        )
+        self.restarts = Counter(
+            "wayside_tracker_restarts", "New epochs of the tracker.", sensor, registry=self.registry
+        )
+        self.failed = Gauge(
+            "wayside_sensor_failed", "1 while a sensor is not tracked.", sensor, registry=self.registry
+        )
+        self.queue = Gauge(
+            "wayside_queue_records", "Logged records not folded yet.", sensor, registry=self.registry
+        )
+        self.stage = Histogram(
+            "wayside_stage_seconds",
+            "Time from one stage of a frame to the next: durable (since received), folded, stored.",
+            ("stage",),
+            registry=self.registry,
+            buckets=_STAGE_BUCKETS_S,
+        )
+        self.fold = Histogram(
+            "wayside_fold_seconds", "Work on one record.", registry=self.registry, buckets=_STEP_BUCKETS_S
+        )
+        self.flush = Histogram(
+            "wayside_flush_seconds",
+            "Work on one flush of rows.",
+            registry=self.registry,
+            buckets=_STAGE_BUCKETS_S,
+        )
+        self.flush_failures = Counter(
+            "wayside_flush_failures", "Flushes that will be tried again.", registry=self.registry
+        )
+        self.log_bytes = Gauge("wayside_log_bytes", "Size of the frame log.", registry=self.registry)
+        self.log_damaged = Gauge(
+            "wayside_log_damaged_records", "Records left out as damaged.", registry=self.registry
+        )
+        self.build = Gauge("wayside_build_info", "1, with the version.", ("version",), registry=self.registry)
+        self.build.labels(__version__).set(1)
+
+    def text(self) -> bytes:
+        """Return every metric in Prometheus' text format."""
+        return generate_latest(self.registry)
+
+
+def set_up_logging(
+    level: Literal["debug", "info", "warning", "error"] = "info",
+    layout: Literal["auto", "console", "json"] = "auto",
+) -> None:
+    """Write log lines to standard error: readable on a terminal, else one JSON object a line."""
+    readable = layout == "console" or (layout == "auto" and sys.stderr.isatty())
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            *(
+                [structlog.dev.ConsoleRenderer()]
+                if readable
+                else [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer()]
+            ),
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(_LEVELS[level]),
+        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        cache_logger_on_first_use=False,
+    )
