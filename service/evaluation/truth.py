@@ -152,16 +152,25 @@ def _read_frames(path: Path) -> tuple[I64, I64]:
 
 def _read_rows(path: Path, numbers: I64) -> TruthRows:
     place = {int(n): index for index, n in enumerate(numbers)}
+    table = csv.reader(lines.read_text(path).splitlines())
+    head = {name: column for column, name in enumerate(next(table, ()))}
+    try:
+        at_frame, at_id, at_seen = (head[name] for name in ("frame", "id", "n_det"))
+        at_real = [head[name] for name in _COLUMNS]
+    except KeyError as error:
+        raise InvalidInput(f"{path}, line 1: {lines.describe(error)}") from None
     frame: list[int] = []
     whole: list[tuple[int, int]] = []
     real: list[list[float]] = []
-    for count, row in enumerate(csv.DictReader(lines.read_text(path).splitlines()), start=2):
+    for count, row in enumerate(table, start=2):
         try:
-            frame.append(place[int(row["frame"])])
-            whole.append((int(row["id"]), int(row["n_det"])))
-            real.append([float(row[name]) for name in _COLUMNS])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidInput(f"{path}, line {count}: {lines.describe(error)}") from None
+            frame.append(place[int(row[at_frame])])
+            whole.append((int(row[at_id]), int(row[at_seen])))
+            real.append([float(row[column]) for column in at_real])
+        except KeyError:
+            raise InvalidInput(f"{path}, line {count}: there is no frame {row[at_frame]}") from None
+        except (IndexError, ValueError) as error:
+            raise InvalidInput(f"{path}, line {count}: {error}") from None
     order = np.argsort(np.array(frame, dtype=np.int64), kind="stable")
     ids = np.array(whole, dtype=np.int64).reshape(-1, 2)[order]
     values = np.array(real, dtype=np.float64).reshape(-1, len(_COLUMNS))[order]

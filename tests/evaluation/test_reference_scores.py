@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from service.evaluation.scores import score_scene
+from service.evaluation.recorded import read_changes, read_crossings, read_lanes, read_tracks
+from service.evaluation.scores import score
+from service.evaluation.truth import Scene, read_scene
 from tests.evaluation import reference_tracks
 
 ROOT = Path(__file__).parents[2]
@@ -27,14 +29,27 @@ def truth_of(scene: str) -> reference_tracks.Truth:
     return reference_tracks.read(SCENES / scene)
 
 
+@cache
+def scene_of(scene: str) -> Scene:
+    return read_scene(SCENES / scene)
+
+
 @pytest.mark.parametrize("variant", reference_tracks.VARIANTS)
 @pytest.mark.parametrize("scene", reference_tracks.SCENES)
 def test_every_score_agrees_with_the_reference(scene, variant, tmp_path):
     expected = json.loads((EXPECTED / f"reference_scores_{scene}.json").read_text())[variant]
     files = reference_tracks.write(truth_of(scene), variant, tmp_path)
-    tracks = files.pop("tracks")
+    whole = scene_of(scene)
+    until = reference_tracks.UNTIL_S.get(variant)
+    part = whole if until is None else whole.until(until)
 
-    scores = score_scene(SCENES / scene, tracks, until=reference_tracks.UNTIL_S.get(variant), **files)
+    scores = score(
+        part,
+        read_tracks(files["tracks"], part),
+        crossings=read_crossings(files["flow"], part) if "flow" in files else None,
+        lanes=read_lanes(files["lanes"]) if "lanes" in files else None,
+        changes=read_changes(files["changes"], part) if "changes" in files else None,
+    )
 
     assert list(scores) == list(expected)
     for key, value in expected.items():
