@@ -1,7 +1,7 @@
 """The road manoeuvres on which filters are compared: exact truths of single vehicles, in the plan frame.
 
 A truth is (steps + 1, 6), the state [x vx ax y vy ay] at t = 0, dt, 2 dt, ...; the vehicle approaches the
-radar from about 180 m, as in Electronics 2024, 13, 652, whose two motions come first. Between two instants
+radar from 100 to 190 m. Two motions are those of Electronics 2024, 13, 652. Between two instants
 the acceleration is constant, and the state is its exact integral.
 """
 
@@ -46,7 +46,7 @@ def braking(deceleration_mps2: float = 6.0, speed_mps: float = 15.0, after_s: fl
     """Return a vehicle that brakes to a standstill and stays there."""
     stop_s = after_s + speed_mps / deceleration_mps2
     return integrate(
-        _start(-4.0, 160.0, speed_mps), lambda t: (0.0, deceleration_mps2 * _within(t, after_s, stop_s))
+        _start(-4.0, 135.0, speed_mps), lambda t: (0.0, deceleration_mps2 * _within(t, after_s, stop_s))
     )
 
 
@@ -72,13 +72,13 @@ def stop_and_go() -> F64:
     return integrate(_start(-4.0, 100.0, 10.0), profile)
 
 
-def swerve(lateral_mps2: float = 4.0, speed_mps: float = 13.9) -> F64:
-    """Return a vehicle that swerves 4 s long: to the right and, with the same accelerations, back."""
+def swerve(lateral_mps2: float = 4.0, speed_mps: float = 9.0) -> F64:
+    """Return a vehicle that evades something: 4 m aside and back within 4 s, at full lateral acceleration."""
 
     def profile(t: float) -> tuple[float, float]:
         return lateral_mps2 * (_within(t, 5.0, 6.0) - _within(t, 6.0, 8.0) + _within(t, 8.0, 9.0)), 0.0
 
-    return integrate(_start(-4.0, 190.0, speed_mps), profile)
+    return integrate(_start(-4.0, 130.0, speed_mps), profile)
 
 
 def integrate(start: F64, profile: Profile, duration_s: float = DURATION_S, dt_s: float = PERIOD_S) -> F64:

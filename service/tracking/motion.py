@@ -35,9 +35,7 @@ class Motion:
 
     def move(self, mean: F64, cov: F64) -> tuple[F64, F64]:
         """Return F x (T, 6) and F P F' (T, 6, 6) of a batch of means and covariances."""
-        # F P F' of all tracks as one matrix product: (F kron F) vec(P), row-major
-        propagated = cov.reshape(-1, STATES * STATES) @ np.kron(self.F, self.F).T
-        return mean @ self.F.T, propagated.reshape(cov.shape)
+        return mean @ self.F.T, self.F @ cov @ self.F.T
 
 
 def constant_acceleration(dt_s: float, accel_std_mps2: float, tau_s: float | None = None) -> Motion:

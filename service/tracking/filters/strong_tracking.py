@@ -106,12 +106,12 @@ def fading_factors(seen: Residuals, memory: F64, p: AstekfParameters) -> tuple[F
     if p.softening_fixed is None:
         b = grid(p.softening_step)
         c = (old_excess[:, :, None] - channels[:, :, None] * b) / spread[:, :, None]
-        scores = memory[:, SCORES].reshape(-1, AXES, GRID_POINTS)
+        scores = memory[:, SCORES].reshape(len(memory), AXES, GRID_POINTS)
         scored = (channels > 0.0) & (memory[:, COUNT] > 0.0)[:, None]
         scores = np.where(
             scored[:, :, None], p.score_forgetting * scores + _surprise(seen, c, share, p), scores
         )
-        updated[:, SCORES] = scores.reshape(len(scores), -1)
+        updated[:, SCORES] = scores.reshape(len(memory), AXES * GRID_POINTS)
         young = (memory[:, COUNT] < p.warm_up)[:, None]
         chosen = np.where(young, p.softening_start, softening(scores, p.softening_step, p.score_tolerance))
     else:
