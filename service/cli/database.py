@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
@@ -28,12 +27,12 @@ def read_settings(**given: object) -> Settings:
         raise InvalidInput(f"WAYSIDE_{name}: {first['msg']}") from None
 
 
-def open_rows(data_dir: Path | None, database: str | None) -> Engine:
+def open_rows(settings: Settings) -> Engine:
     """Return the database of rows, brought up to the schema of this version."""
     from service.storage import migrate
     from service.storage.database import open_database
 
-    engine = open_database(read_settings(data_dir=data_dir, database_url=database).rows_url)
+    engine = open_database(settings.rows_url)
     migrate.upgrade(engine)
     return engine
 

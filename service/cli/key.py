@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli import options
-from service.cli.database import now_us, open_rows
+from service.cli.database import now_us, open_rows, read_settings
 from service.cli.edge import one_sentence, say
 from service.cli.output import print_json, print_rows, provenance
 from service.formats.rfc3339 import format_time
@@ -39,7 +39,7 @@ def create(
     from service.storage.database import session_scope
     from service.storage.keys import create_key
 
-    with session_scope(open_rows(data_dir, database)) as connection:
+    with session_scope(open_rows(read_settings(data_dir=data_dir, database_url=database))) as connection:
         key, secret = create_key(
             connection, name=name, scopes=scope or ["read"], sensor_ids=sensor or None, now_us=now_us()
         )
@@ -63,7 +63,7 @@ def list_(
     from service.storage.database import connection
     from service.storage.keys import list_keys
 
-    with connection(open_rows(data_dir, database)) as reader:
+    with connection(open_rows(read_settings(data_dir=data_dir, database_url=database))) as reader:
         records = [_record(key) for key in list_keys(reader, include_revoked=revoked).items]
     if as_json:
         print_json(provenance() | {"keys": records})
@@ -84,7 +84,7 @@ def revoke(
     from service.storage.database import session_scope
     from service.storage.keys import revoke_key
 
-    with session_scope(open_rows(data_dir, database)) as connection:
+    with session_scope(open_rows(read_settings(data_dir=data_dir, database_url=database))) as connection:
         key = revoke_key(connection, key_id, now_us=now_us())
     if as_json:
         print_json(provenance() | _record(key))

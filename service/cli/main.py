@@ -8,9 +8,14 @@ import typer
 
 from service import __version__
 from service.cli import key, sensor
+from service.cli.bench import bench
+from service.cli.demo import demo
+from service.cli.evaluate import evaluate
 from service.cli.migrate import migrate
 from service.cli.replay import replay
+from service.cli.serve import serve
 from service.cli.simulate import simulate
+from service.cli.track import track
 
 app = typer.Typer(
     name="wayside",
@@ -18,9 +23,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.command()(replay)
-app.command()(simulate)
-app.command()(migrate)
+for command in (demo, serve, track, replay, simulate, evaluate, bench, migrate):
+    app.command()(command)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")
 
@@ -39,3 +43,7 @@ def options(
     ] = False,
 ) -> None:
     """Turn a roadside radar into a traffic monitor."""
+
+
+if __name__ == "__main__":
+    app()

@@ -30,6 +30,9 @@ Database = Annotated[
         "--database", metavar="URL", help="sqlite:///PATH or postgresql://... [WAYSIDE_DATABASE_URL]"
     ),
 ]
+Port = Annotated[
+    int | None, typer.Option("--port", min=0, max=65535, help="0: any free one. [WAYSIDE_PORT, 8321]")
+]
 Url = Annotated[str, typer.Option("--url", envvar="WAYSIDE_URL", help="Address of the service.")]
 Key = Annotated[str | None, typer.Option("--key", envvar="WAYSIDE_KEY", help="API key.", show_envvar=True)]
 

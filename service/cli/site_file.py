@@ -5,24 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from service.errors import FieldError, InvalidInput
+from service.errors import InvalidInput
 from service.formats.sensor import SensorConfig
+from service.pipeline.offline import read_site as read_config
 from service.tracking.filters.registry import make_filter
 
 
 def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str] = ()) -> SensorConfig:
     """Return the sensor of SITE.json with the filter and KEY=VALUE settings of the command line on top.
 
-    Raises InvalidInput for an unreadable file, an unknown parameter or a value that does not fit.
+    Raises InvalidInput for a file that is none, an unknown parameter or a value that does not fit.
     """
     try:
-        config = SensorConfig.model_validate_json(path.read_bytes())
+        config = read_config(path)
     except OSError as error:
         raise InvalidInput(f"{path}: {error.strerror or error}") from None
-    except ValidationError as error:
-        raise InvalidInput(f"{path}: {_first(error)}", _fields(error)) from None
+    except (InvalidInput, UnicodeDecodeError) as error:
+        faults = error.errors if isinstance(error, InvalidInput) else ()
+        raise InvalidInput(f"{path} is no site file: {error}", faults) from None
+    return with_settings(config, filter_name, settings)
+
+
+def with_settings(config: SensorConfig, filter_name: str | None, settings: Sequence[str]) -> SensorConfig:
+    """Return the configuration with another filter and KEY=VALUE settings; raises InvalidInput."""
     changes: dict[str, object] = {"parameters": config.parameters | dict(_setting(text) for text in settings)}
     if filter_name is not None:
         changes["filter"] = filter_name
@@ -37,12 +42,3 @@ def _setting(text: str) -> tuple[str, str]:
     if not equals or not key:
         raise InvalidInput(f"--set wants KEY=VALUE, got {text!r}")
     return key.strip(), value.strip()
-
-
-def _fields(error: ValidationError) -> list[FieldError]:
-    return [FieldError("/" + "/".join(map(str, part["loc"])), part["msg"]) for part in error.errors()]
-
-
-def _first(error: ValidationError) -> str:
-    first = _fields(error)[0]
-    return f"{first.pointer}: {first.reason}" if first.pointer != "/" else first.reason

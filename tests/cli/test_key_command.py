@@ -5,28 +5,21 @@ from __future__ import annotations
 import json
 
 import pytest
-from typer.testing import CliRunner
 
 import service
-from service.cli.main import app
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # no .env of the developer
-
-    def call(*arguments: str, code: int = 0):
-        result = CliRunner().invoke(app, [*arguments, "--data-dir", str(tmp_path / "data")])
-        assert result.exit_code == code, result.output
-        return result
-
-    return call
+def run_on_data(run, tmp_path):
+    return lambda *arguments, code=0: run(*arguments, "--data-dir", tmp_path / "data", code=code)
 
 
-def test_a_key_is_created_listed_and_revoked(run):
-    made = json.loads(run("key", "create", "--name", "dashboard", "--scope", "admin", "--json").stdout)
-    listed = json.loads(run("key", "list", "--json").stdout)["keys"]
-    run("key", "revoke", made["key_id"])
+def test_a_key_is_created_listed_and_revoked(run_on_data):
+    made = json.loads(
+        run_on_data("key", "create", "--name", "dashboard", "--scope", "admin", "--json").stdout
+    )
+    listed = json.loads(run_on_data("key", "list", "--json").stdout)["keys"]
+    run_on_data("key", "revoke", made["key_id"])
 
     assert len(made["key"]) > 40
     assert made["version"] == service.__version__
@@ -34,21 +27,23 @@ def test_a_key_is_created_listed_and_revoked(run):
         (made["key_id"], "dashboard", ["admin"])
     ]
     assert "key" not in listed[0]
-    assert json.loads(run("key", "list", "--json").stdout)["keys"] == []
-    assert json.loads(run("key", "list", "--revoked", "--json").stdout)["keys"][0]["revoked"] is not None
+    assert json.loads(run_on_data("key", "list", "--json").stdout)["keys"] == []
+    assert (
+        json.loads(run_on_data("key", "list", "--revoked", "--json").stdout)["keys"][0]["revoked"] is not None
+    )
 
 
-def test_standard_output_is_the_secret_alone(run):
-    result = run("key", "create", "--scope", "read")
+def test_standard_output_is_the_secret_alone(run_on_data):
+    result = run_on_data("key", "create", "--scope", "read")
 
     assert len(result.stdout.split()) == 1
     assert "cannot be shown again" in result.stderr
 
 
-def test_people_read_a_table_of_keys(run):
-    run("key", "create", "--name", "wall display", "--scope", "read")
+def test_people_read_a_table_of_keys(run_on_data):
+    run_on_data("key", "create", "--name", "wall display", "--scope", "read")
 
-    assert "wall display" in run("key", "list").stdout
+    assert "wall display" in run_on_data("key", "list").stdout
 
 
 @pytest.mark.parametrize(
@@ -59,25 +54,25 @@ def test_people_read_a_table_of_keys(run):
         (("key", "revoke", "0000"), "no key 0000"),
     ],
 )
-def test_wrong_input_is_a_sentence_and_exit_code_2(run, arguments, reason):
-    assert reason in run(*arguments, code=2).stderr
+def test_wrong_input_is_a_sentence_and_exit_code_2(run_on_data, arguments, reason):
+    assert reason in run_on_data(*arguments, code=2).stderr
 
 
-def test_migrate_brings_an_empty_database_up_to_date(run):
-    run("migrate", "--check", code=1)
-    first = json.loads(run("migrate", "--json").stdout)
-    again = json.loads(run("migrate", "--json").stdout)
+def test_migrate_brings_an_empty_database_up_to_date(run_on_data):
+    run_on_data("migrate", "--check", code=1)
+    first = json.loads(run_on_data("migrate", "--json").stdout)
+    again = json.loads(run_on_data("migrate", "--json").stdout)
 
     assert first["before"] is None
     assert first["after"] == first["needed"] == again["before"] == again["after"]
-    run("migrate", "--check")
+    run_on_data("migrate", "--check")
 
 
-def test_a_wrong_database_address_is_a_sentence(run):
-    assert "sqlite or postgresql" in run("migrate", "--database", "mysql://host/name", code=1).stderr
+def test_a_wrong_database_address_is_a_sentence(run_on_data):
+    assert "sqlite or postgresql" in run_on_data("migrate", "--database", "mysql://host/name", code=1).stderr
 
 
-def test_a_wrong_setting_of_the_environment_is_named(run, monkeypatch):
+def test_a_wrong_setting_of_the_environment_is_named(run_on_data, monkeypatch):
     monkeypatch.setenv("WAYSIDE_PORT", "many")
 
-    assert "WAYSIDE_PORT" in run("migrate", code=2).stderr
+    assert "WAYSIDE_PORT" in run_on_data("migrate", code=2).stderr

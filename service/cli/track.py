@@ -1,0 +1,134 @@
+"""`wayside track`: recorded frames to tracks, by the same fold as the service."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import orjson
+import typer
+
+from service.cli import options
+from service.cli.edge import one_sentence
+from service.cli.output import json_text, print_facts, print_json, progress, provenance
+from service.formats.rfc3339 import format_time
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from service.formats.sensor import SensorConfig
+    from service.pipeline.fold_state import FoldOutput
+    from service.storage.rows import TrackKey, TrackSummary
+    from service.tracking.model import Frame
+
+FILES = ("tracks.jsonl", "track_summaries.jsonl", "summary.json")
+TIMES = ("first_time_us", "last_time_us")
+
+
+@one_sentence()
+def track(
+    frames: Annotated[list[Path], typer.Argument(metavar="FRAMES...", help="JSON lines, gzip or not.")],
+    site: options.Site,
+    out: options.Out,
+    *,
+    filter_name: options.Filter = None,
+    settings: options.Set = None,
+    force: options.Force = False,
+    show: options.ShowProgress = None,
+    as_json: options.Json = False,
+) -> None:
+    """Track recorded frames and write what was found into a folder."""
+    from service.cli.results import written_together
+    from service.cli.site_file import read_site
+    from service.formats.json_frames import read_frames
+    from service.pipeline.offline import fold_frames
+
+    config = read_site(site, filter_name, settings or ())
+    begun_s = time.monotonic()
+    with written_together(out, FILES, force=force) as folder, progress(wanted=show) as bar:
+        counted = _Counted(read_frames(frames, config), bar, frames)
+        tally = _write(folder, config, fold_frames(counted, config))
+        summary = provenance(config.tracker_parameters()) | {"sensor_id": config.sensor_id}
+        summary |= counted.summary() | tally | {"elapsed_s": round(time.monotonic() - begun_s, 3)}
+        (folder / "summary.json").write_text(json_text(summary) + "\n")
+    if as_json:
+        print_json(summary | {"out": str(out)})
+    else:
+        print_facts(f"Tracks of {config.sensor_id} -> {out}", summary)
+
+
+class _Counted:
+    """The frames on their way into the fold, counted."""
+
+    def __init__(self, frames: Iterator[Frame], bar: Progress, paths: list[Path]) -> None:
+        from service.cli.recording import count_lines
+
+        self.frames = self.points = 0
+        self.first_us: int | None = None
+        self.last_us = 0
+        self._source, self._bar = frames, bar
+        total = None if bar.disable else count_lines(paths)
+        self._task = bar.add_task("tracking", total=total)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            self.frames += 1
+            self.points += len(frame)
+            self.first_us = frame.time_us if self.first_us is None else min(self.first_us, frame.time_us)
+            self.last_us = max(self.last_us, frame.time_us)
+            self._bar.advance(self._task)
+            yield frame
+
+    def summary(self) -> dict[str, object]:
+        known = self.first_us is not None
+        return {
+            "frames": self.frames,
+            "points": self.points,
+            "start": format_time(self.first_us) if self.first_us is not None else None,
+            "end": format_time(self.last_us) if known else None,
+        }
+
+
+def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) -> dict[str, object]:
+    """Write the lines of every frame as it is folded, then the tracks; return the counts."""
+    from service.formats.tracks import frame_line
+
+    tracks: dict[TrackKey, TrackSummary] = {}
+    fates: Counter[str] = Counter()
+    epoch, states, missing, events = 1, 0, 0, 0
+    with (folder / "tracks.jsonl").open("wb") as lines:
+        for output in outputs:
+            epoch += output.restarted is not None
+            fates[output.fate.value] += 1
+            missing += output.missing
+            events += len(output.rows.events)
+            tracks.update((row.key, row) for row in output.rows.tracks)
+            for scan in output.frames:
+                states += len(scan.estimates)
+                line = frame_line(config.sensor_id, epoch, scan.number, scan.time_us, scan.estimates)
+                lines.write(line + b"\n")
+    with (folder / "track_summaries.jsonl").open("wb") as lines:
+        for key in sorted(tracks, key=lambda key: (key.epoch, key.number)):
+            lines.write(orjson.dumps(_record(tracks[key])) + b"\n")
+    return {
+        "tracks": len(tracks),
+        "states": states,
+        "missing_frames": missing,
+        "duplicate_frames": fates["duplicate"],
+        "late_frames": fates["late"],
+        "conflicting_frames": fates["conflict"],
+        "restarts": epoch - 1,
+        "events": events,
+    }
+
+
+def _record(row: TrackSummary) -> dict[str, object]:
+    """Return a track as one JSON object: its public id first, times as on every wire."""
+    fields = dataclasses.asdict(row)
+    del fields["key"], fields["as_of"]
+    times = {name.removesuffix("_us"): format_time(fields.pop(name)) for name in TIMES}
+    return {"track_id": str(row.key), **times, **fields}
