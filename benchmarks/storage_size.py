@@ -3,8 +3,8 @@
     python benchmarks/storage_size.py [--minutes 10] [--sensors 1] [--life 12.0] [--json]
 
 Writes through `save_flush`, a second at a time, as the host does: tracks with measurement noise at 20 Hz that
-come and go (`--life` seconds each, so that first and last blocks are cut). Then moves the journal into the file
-and looks at its size.
+come and go (`--life` seconds each, so that first and last blocks are cut). Then moves the journal into the
+file and looks at its size.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Traffic:
                 last = min(end, self.born_frame[slot] + life)
                 if last > first:
                     blocks.append(self._block(slot, index, first, last))
-                    summaries.append(self._summary(slot, last - 1, ended=last < end))
+                    summaries.append(self._summary(slot, int(last) - 1, ended=last < end))
                 if last < end:
                     self.born_frame[slot], self.number[slot] = last, self.next_number
                     self.next_number += 1

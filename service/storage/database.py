@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, make_url
@@ -40,6 +41,9 @@ _BUSY_CODES: Final = frozenset(
         sqlite3.SQLITE_IOERR,
         sqlite3.SQLITE_CANTOPEN,
     }
+)
+_NUMPY_SCALARS: Final = tuple(
+    kind for kind in np.sctypeDict.values() if issubclass(kind, np.integer | np.floating | np.bool_)
 )
 _PRIMARY_CODE: Final = 0xFF  # SQLite's extended result codes keep the primary one in the lowest byte
 _WRITING: Final = "wayside_writing"  # execution options of our transactions
@@ -123,6 +127,8 @@ def _open_sqlite(address: URL) -> Engine:
     if not address.database or address.database == ":memory:":
         raise StorageError("want a database file, got one in memory: each connection would see its own")
     Path(address.database).parent.mkdir(parents=True, exist_ok=True)
+    for scalar in _NUMPY_SCALARS:  # sqlite3 would take the bytes of an np.int64 for a BLOB, without a word
+        sqlite3.register_adapter(scalar, _as_python)
     engine = create_engine(
         address.set(drivername="sqlite+pysqlite"),
         connect_args={"timeout": BUSY_TIMEOUT_S},
@@ -132,6 +138,11 @@ def _open_sqlite(address: URL) -> Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _as_python(number: np.generic) -> int | float | bool:
+    value: int | float | bool = number.item()
+    return value
 
 
 def _open_postgresql(address: URL) -> Engine:

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from sqlalchemy import text
 
@@ -67,6 +68,18 @@ def test_a_summary_comes_back_as_it_was_written(engine, store, summary):
 
     with connection(engine) as reader:
         assert read_track(reader, written.key) == written
+
+
+def test_numbers_of_numpy_are_stored_as_numbers(engine, store, summary):
+    written = summary(1)
+    of_numpy = {
+        name: np.int64(getattr(written, name))
+        for name in ("first_time_us", "last_time_us", "states", "as_of")
+    }
+    store(replace(written, existence=np.float32(0.5), ended=np.True_, **of_numpy))
+
+    (found_track,) = found(engine, TrackQuery(start_us=START_US)).items
+    assert found_track == replace(written, existence=0.5, ended=True)
 
 
 def test_the_summary_of_the_later_log_position_stays(engine, store, summary):
