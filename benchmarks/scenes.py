@@ -1,7 +1,7 @@
 """Track recorded scenes that have truth and print how well that went, one row a scene.
 
     python benchmarks/scenes.py SCENE_DIR... [--jobs N] [--until S] [--set key=value]... [--json OUT.json]
-        [--columns hota,gospa,...] [--tracks-dir DIR] [--profile]
+        [--columns hota,gospa,...] [--tracks-dir DIR] [--profile] [--peers]
 
 Every scene runs in its own process. The time is CPU time of the tracker's steps alone, without the
 first second.
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import cProfile
 import io
+import json
 import multiprocessing
 import os
 import pstats
@@ -29,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np  # noqa: E402
 
 from service.evaluation import report  # noqa: E402
-from service.evaluation.measures import Measure, Value, select  # noqa: E402
+from service.evaluation.measures import MEASURES, Measure, Value, select  # noqa: E402
 from service.evaluation.recorded import RecordedTracks, State, TrackId, record  # noqa: E402
 from service.evaluation.scores import score  # noqa: E402
 from service.evaluation.truth import Scene, read_scene  # noqa: E402
@@ -47,6 +48,8 @@ SPEED = (
     Measure("ms_p99", "CPU ms, 99th percentile", "ms99"),
 )
 PROFILE_LINES = 25
+PEERS = Path(__file__).with_name("peers.json")
+PEERS_LEAST_S = 20.0  # shorter runs miss most of the first vehicles' lives
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,22 @@ def mean_row(results: list[dict[str, Value]]) -> dict[str, Value]:
     return {"scene": "mean", **{k: float(np.mean([result[k] for result in results])) for k in keys}}
 
 
+def with_peers(results: list[dict[str, Value]], measures: tuple[Measure, ...]) -> list[dict[str, Value]]:
+    """Return each result followed by the best that any other tracker reached, measure by measure."""
+    peers = [p for p in json.loads(PEERS.read_text())["results"] if p["until_s"] >= PEERS_LEAST_S]
+    out = []
+    for result in results:
+        here = [peer for peer in peers if peer["scene"] == result["scene"]]
+        best = {
+            m.key: (max if m.higher_is_better else min)(peer[m.key] for peer in here)
+            for m in measures
+            if here and m.key in here[0]
+        }
+        seconds = sorted({f"{peer['until_s']:g}" for peer in here})
+        out += [result, {"scene": f"  best peer, {' or '.join(seconds)} s", **best}]
+    return out
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -128,6 +147,9 @@ def main() -> None:
     parser.add_argument("--columns", default=COLUMNS, help="keys of the scores to print, or 'all'")
     parser.add_argument("--tracks-dir", type=Path, help="write SCENE/tracks.jsonl below this directory")
     parser.add_argument("--profile", action="store_true", help="print where the time goes")
+    parser.add_argument(
+        "--peers", action="store_true", help="add the best of other trackers (run with --until 30)"
+    )
     options = parser.parse_args()
     settings = tuple(options.settings)
     jobs = [Job(d, settings, options.until, options.tracks_dir, options.profile) for d in options.scenes]
@@ -137,12 +159,14 @@ def main() -> None:
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(min(options.jobs, len(jobs)), mp_context=context) as pool:
             results = list(pool.map(run, jobs))
-    shown = [*results, mean_row(results)] if len(results) > 1 else results
-    if options.columns == "all":
-        print(report.markdown(report.by_measure(shown)), end="")
-    else:
-        measures = (*select(options.columns.split(",")), *SPEED)
-        print(report.markdown(report.by_scene(shown, measures)), end="")
+    measures = MEASURES if options.columns == "all" else select(options.columns.split(","))
+    shown = with_peers(results, measures) if options.peers else [*results]
+    if len(results) > 1:
+        shown.append(mean_row(results))
+    grid = (
+        report.by_measure(shown) if options.columns == "all" else report.by_scene(shown, (*measures, *SPEED))
+    )
+    print(report.markdown(grid), end="")
     if options.json:
         options.json.write_text(report.to_json(results))
 
