@@ -127,13 +127,13 @@ def _lanes_of(
 ) -> list[TrackId | None]:
     """Return the lane of each crossing: its own lane's partner, the nearest true lane, or the id as given."""
     at = np.array([(c.x_m, c.y_m) for c in found]).reshape(-1, 2)
-    away = np.stack([feet(lane.points, at).distance_m for lane in scene.lanes])
-    nearest = np.argmin(away, axis=0)
+    away = [feet(lane.points, at).distance_m for lane in scene.lanes]
+    nearest = np.argmin(np.stack(away), axis=0) if away else np.empty(0, dtype=np.int64)
     out: list[TrackId | None] = []
     for k, crossing in enumerate(found):
         if crossing.lane_id is not None and crossing.lane_id in lane_partner:
             out.append(lane_partner[crossing.lane_id])
-        elif not math.isnan(crossing.x_m):
+        elif len(nearest) and not math.isnan(crossing.x_m):
             out.append(scene.lanes[nearest[k]].lane_id)
         else:
             out.append(crossing.lane_id)

@@ -85,7 +85,12 @@ class Scene:
     lane_users: dict[str, int]  # vehicles that crossed a count line in the lane, over the whole recording
 
     def until(self, seconds: float) -> Scene:
-        """Return the first `seconds` of the scene; which lanes count is still judged from the whole of it."""
+        """Return the first `seconds` of the scene; which lanes count is still judged from the whole of it.
+
+        Raises InvalidInput when nothing would be left.
+        """
+        if seconds <= 0:
+            raise InvalidInput.at("/until", f"want more than 0 seconds, got {seconds:g}")
         frames = int(np.count_nonzero(self.time_s < self.time_s[0] + seconds))
         end = self.rows.start[frames]
         columns = {
@@ -182,10 +187,11 @@ def _read_rows(path: Path, numbers: I64) -> TruthRows:
 
 
 def _lanes(road: lines.Record) -> tuple[TruthLane, ...]:
-    return tuple(
-        TruthLane(lines.text(q, "lane_id"), np.array(lines.points(q, "points")))
-        for q in lines.items(road, "lanes")
-    )
+    lanes = [(lines.text(q, "lane_id"), lines.points(q, "points")) for q in lines.items(road, "lanes")]
+    for name, points in lanes:
+        if len(points) < 2:  # noqa: PLR2004 - a line has two ends
+            raise ValueError(f"lane {name!r} has {len(points)} points, want two or more")
+    return tuple(TruthLane(name, np.array(points)) for name, points in lanes)
 
 
 def _crossings(road: lines.Record) -> tuple[TruthCrossing, ...]:

@@ -36,7 +36,7 @@ class SmallScene:
     line_y: float = 80.0
 
     def lane_of(self, vehicle: Vehicle) -> str:
-        return min(self.lanes, key=lambda name: abs(self.lanes[name] - vehicle.x))
+        return min(self.lanes, key=lambda name: abs(self.lanes[name] - vehicle.x), default="none")
 
     def write(self, directory: Path) -> Path:
         site = {

@@ -221,6 +221,7 @@ def test_no_tracks_at_all_is_a_score_and_not_an_error(scene, tmp_path):
         ("tracks.jsonl", '{"frame": 1, "track_id": 1, "x": "far", "y": 1}\n', "line 1: 'x' is 'far'"),
         ("tracks.jsonl", "{broken\n", "line 1: not JSON"),
         ("site.json", '{"sensor_id": "radar-1", "mount_height_m": -4}', "mount_height_m"),
+        ("road_truth.json", '{"lanes": [{"lane_id": "L1", "points": [[0, 20]]}]}', "lane 'L1' has 1 points"),
         ("road_truth.json", '{"lanes": []}', "'crossings' is missing"),
     ],
 )
@@ -240,6 +241,20 @@ def test_a_wrong_row_of_the_truth_is_named(tmp_path):
 
     with pytest.raises(InvalidInput, match=r"truth\.csv\.gz, line 8: .*'west'"):
         read_scene(tmp_path)
+
+
+def test_a_road_without_lanes_still_counts_crossings(tmp_path):
+    scene = SmallScene([ONE, TWO], lanes={})
+    scene.write(tmp_path)
+
+    s = scores_of(scene, tmp_path)
+
+    assert (s["crossing_recall"], s["crossing_precision"]) == (1.0, 1.0)
+
+
+def test_no_time_at_all_is_refused(scene, tmp_path):
+    with pytest.raises(InvalidInput, match="until: want more than 0 seconds"):
+        scores_of(scene, tmp_path, until=0.0)
 
 
 def test_a_directory_without_truth_says_which_file_it_wants(tmp_path):
