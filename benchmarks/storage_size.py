@@ -11,6 +11,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import platform
+import sqlite3
+import subprocess
 import tempfile
 import time
 from dataclasses import asdict, dataclass
@@ -30,6 +34,7 @@ RATE_HZ = 20
 TRACKS = 60
 START_S = 1_747_000_000
 BAR_BYTES_PER_STATE = 30.0
+SEED = 1
 SNAPSHOT_EVERY_S = 10
 SNAPSHOT_BYTES = 170_000  # a state of 60 tracks
 
@@ -129,7 +134,7 @@ class Traffic:
         return TrackKey(self.sensor_id, 1, int(self.number[slot]))
 
 
-def measure(path: Path, load: Load, seed: int = 1) -> Result:
+def measure(path: Path, load: Load, seed: int = SEED) -> Result:
     """Write the load into a new database at `path` and return what it cost."""
     engine = open_database(f"sqlite:///{path}")
     upgrade(engine)
@@ -171,6 +176,27 @@ def _write(engine: Engine, traffic: list[Traffic], load: Load) -> tuple[int, flo
     return states, flush_s
 
 
+def circumstances() -> dict[str, object]:
+    """Return what a number measured here depends on."""
+    commit = subprocess.run(
+        ["git", "rev-parse", "HEAD"],  # noqa: S607 - whichever git is installed
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parent,
+    )
+    machine = {
+        "architecture": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+    }
+    return {
+        "machine": machine | {"sqlite": sqlite3.sqlite_version},
+        "bar_bytes_per_state": BAR_BYTES_PER_STATE,
+        "commit": commit.stdout.strip() or None,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -185,7 +211,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         result = measure(Path(folder) / "rows.sqlite", load)
     if given.json:
-        print(json.dumps({"load": asdict(load), "result": asdict(result)}, indent=1))
+        record = {"load": asdict(load), "seed": SEED, "result": asdict(result)} | circumstances()
+        print(json.dumps(record, indent=1))
     else:
         print(f"{result.bytes_per_state:.2f} bytes a state (bar {BAR_BYTES_PER_STATE:g})")
         print(f"{result.states} states, {result.tracks} tracks, {result.file_bytes / 2**20:.1f} MiB")
