@@ -31,8 +31,6 @@ from service.api.security import Keyring, is_loopback
 from service.pipeline.host import EmbeddedHost
 from service.settings import Settings
 
-PREFIX = "/api/v1"
-
 
 def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecure: bool = False) -> FastAPI:
     """Return the application; it starts the host when it starts, and stops it when it ends.
@@ -61,9 +59,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
     app.state.services = Services(
         host, engine, settings, Keyring(engine, local=local or insecure), asyncio.Event()
     )
-    for module in (frames, live, tracks, sensors, events, keys):
-        app.include_router(module.router, prefix=PREFIX)
-    for module in (health, reference, dashboard):
+    for module in (frames, live, tracks, sensors, events, keys, health, reference, dashboard):
         app.include_router(module.router)
     app.router.default = dashboard.Dashboard()
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way

@@ -20,6 +20,8 @@ from service.settings import Settings
 from service.storage.database import connection
 from service.storage.keys import Scope
 
+PREFIX = "/api/v1"  # part of each route itself, so that metrics name whole paths
+
 
 @dataclass(frozen=True, slots=True)
 class Services:

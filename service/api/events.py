@@ -6,13 +6,22 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from service.api.dependencies import Cursor, Limit, Reader, ReadKey, SensorPath, TimeText, time_range_us
+from service.api.dependencies import (
+    PREFIX,
+    Cursor,
+    Limit,
+    Reader,
+    ReadKey,
+    SensorPath,
+    TimeText,
+    time_range_us,
+)
 from service.api.paging import page_reply
 from service.api.schemas import Page
 from service.api.track_schemas import EventReply
 from service.storage.events import list_events
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 
 @router.get("/sensors/{sensor_id}/events", tags=["events"])

@@ -10,7 +10,7 @@ from anyio import to_thread
 from fastapi import APIRouter, Request, Response, status
 
 from service.api.bodies import is_ndjson, read_body
-from service.api.dependencies import IngestKey, SensorPath, ServicesDep
+from service.api.dependencies import PREFIX, IngestKey, SensorPath, ServicesDep
 from service.api.problems import HttpProblem
 from service.api.track_schemas import BatchReply, FrameReply
 from service.errors import Conflict, FieldError, InvalidFrame
@@ -19,7 +19,7 @@ from service.formats.sensor import SensorConfig
 from service.pipeline.host import Outcome
 from service.tracking.model import Frame
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 INLINE_BYTES = 65_536  # a larger body is parsed in a thread: about 5 ms of the event loop's time
 BATCH_FRAMES_MAX = 10_000

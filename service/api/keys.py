@@ -6,7 +6,16 @@ import time
 
 from fastapi import APIRouter, Request, Response, status
 
-from service.api.dependencies import AdminKey, CallerDep, Cursor, Limit, Reader, ServicesDep, open_caller
+from service.api.dependencies import (
+    PREFIX,
+    AdminKey,
+    CallerDep,
+    Cursor,
+    Limit,
+    Reader,
+    ServicesDep,
+    open_caller,
+)
 from service.api.paging import page_reply
 from service.api.problems import HttpProblem
 from service.api.schemas import Identifier, KeyInput, KeyReply, NewKeyReply, Page, SessionReply
@@ -14,7 +23,7 @@ from service.api.security import SESSION_COOKIE, SESSION_S, Caller
 from service.storage import keys as store
 from service.storage.database import session_scope
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 
 @router.post("/keys", status_code=status.HTTP_201_CREATED, tags=["keys"])

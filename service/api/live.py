@@ -11,13 +11,13 @@ from fastapi import APIRouter, Header, Query, Request, Response, status
 from fastapi.responses import StreamingResponse
 
 from service.api import live_view
-from service.api.dependencies import ReadKey, SensorPath, Services, ServicesDep
+from service.api.dependencies import PREFIX, ReadKey, SensorPath, Services, ServicesDep
 from service.api.track_schemas import LiveView
 from service.errors import NotFound
 from service.formats.sensor import SensorConfig
 from service.pipeline.live import STALE_AFTER_US, LiveEntry
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 WAIT_MAX_S = 30.0  # below the idle time-out of common proxies
 STREAM_PERIOD_S = 0.1  # newest wins: a stream carries at most ten views a second

@@ -12,6 +12,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
+from starlette.routing import compile_path
 
 from service.errors import (
     Conflict,
@@ -209,4 +210,16 @@ async def _http(request: Request, error: Exception) -> Response:
     if kind is None:
         status = HTTPStatus(error.status_code)
         kind = Kind(status.phrase.lower().replace(" ", "-"), status.value, status.phrase, status.description)
-    return problem_response(request.scope, kind, str(error.detail), headers=error.headers)
+    headers = dict(error.headers or {})
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers["Allow"] = ", ".join(_methods(request))
+    return problem_response(request.scope, kind, str(error.detail), headers=headers)
+
+
+def _methods(request: Request) -> list[str]:
+    """Return the methods that any route takes at the path (Starlette names only those of the first)."""
+    found = set[str]()
+    for template, operations in request.app.openapi()["paths"].items():
+        if compile_path(template)[0].match(request.scope["path"]):
+            found |= {method.upper() for method in operations}
+    return sorted(found)

@@ -10,12 +10,14 @@ from pydantic import ValidationError
 from sqlalchemy import Connection
 
 from service.api.dependencies import (
+    PREFIX,
     AdminKey,
     Cursor,
     Limit,
     Reader,
     ReadKey,
     SensorPath,
+    Services,
     ServicesDep,
 )
 from service.api.paging import page_reply
@@ -29,13 +31,13 @@ from service.api.schemas import (
     SitePatch,
     SiteReply,
 )
-from service.errors import FieldError, InvalidInput, Unavailable
+from service.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
 from service.formats.sensor import SensorConfig
 from service.storage import sites as store
 from service.storage.database import session_scope
 from service.tracking.filters.registry import make_filter
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 
 @router.post("/sites", status_code=status.HTTP_201_CREATED, tags=["sites"])
@@ -87,8 +89,7 @@ def create_sensor(body: SensorInput, services: ServicesDep, response: Response, 
     config = _checked(body.config())
     if not services.host.ready:
         raise Unavailable("the service is not ready")
-    with session_scope(services.engine) as writer:
-        sensor = store.create_sensor(writer, config, site_id=body.site_id, name=body.name, now_us=_now_us())
+    sensor = _register(services, body, config)
     services.host.configure(sensor)
     response.headers["Location"] = f"/api/v1/sensors/{sensor.sensor_id}"
     return SensorReply.of(sensor)
@@ -135,6 +136,21 @@ def archive_sensor(sensor_id: SensorPath, services: ServicesDep, _: AdminKey) ->
     with session_scope(services.engine) as writer:
         store.archive_sensor(writer, sensor_id, now_us=_now_us())
     services.host.forget(sensor_id)
+
+
+def _register(services: Services, body: SensorInput, config: SensorConfig) -> store.Sensor:
+    """Store a new sensor, or return the one that an earlier try stored before the log refused it."""
+    with session_scope(services.engine) as writer:
+        try:
+            return store.create_sensor(writer, config, site_id=body.site_id, name=body.name, now_us=_now_us())
+        except Conflict:
+            if services.host.live.newest(config.sensor_id) is not None:
+                raise
+            try:
+                return _change(writer, config.sensor_id, body.model_dump(mode="json", exclude_unset=True))
+            except NotFound:  # archived
+                pass
+            raise
 
 
 def _change(writer: Connection, sensor_id: str, patch: JsonObject) -> store.Sensor:

@@ -14,6 +14,7 @@ from fastapi.responses import StreamingResponse
 from sqlalchemy import Connection, Engine
 
 from service.api.dependencies import (
+    PREFIX,
     Cursor,
     Reader,
     ReadKey,
@@ -43,7 +44,7 @@ from service.storage.rows import STATE_SAMPLE, StateBlock, TrackKey, TrackSummar
 from service.storage.sites import ordinal_of, read_sensor
 from service.storage.tracks import TrackQuery
 
-router = APIRouter()
+router = APIRouter(prefix=PREFIX)
 
 PAGE_TRACKS = 100  # tracks of a page unless told
 PAGE_SECONDS = 600  # seconds of states in a page unless told
