@@ -3,8 +3,8 @@
     python benchmarks/ingest.py [--sensors N] [--rate HZ] [--points N] [--seconds S] [--json OUT.json]
         [--switch-interval S]
 
-Each sensor posts at its rate, one frame a call, without HTTP: the numbers are those of the host. "readable" is
-the time from the call of `submit` to the wake-up of a reader that waits at the live view.
+Each sensor posts at its rate, one frame a call, without HTTP: the numbers are those of the host.
+"readable" is the time from the call of `submit` to the wake-up of a reader that waits at the live view.
 """
 
 from __future__ import annotations

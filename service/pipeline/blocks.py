@@ -79,23 +79,31 @@ class Moment:
     time_us: int
 
 
+def _no_tracks() -> OpenTracks:
+    i, f = np.zeros(0, dtype=np.int64), np.zeros(0)
+    return OpenTracks(i, i, i, i, i, i, i, f, f, f, f, f, f, f, f, f, f, f, f)
+
+
+_NO_TRACKS = _no_tracks()
+
+
 def nothing_collected() -> Collected:
     """Return the state before the first frame."""
-    i, f = np.zeros(0, dtype=np.int64), np.zeros(0)
-    tracks = OpenTracks(i, i, i, i, i, i, i, f, f, f, f, f, f, f, f, f, f, f, f)
-    return Collected(tracks, _no_blocks(0))
+    return Collected(_NO_TRACKS, _no_blocks(0))
 
 
 def collect_frame(
     state: Collected, moment: Moment, frame_number: int, estimates: TrackEstimates
 ) -> tuple[Collected, Rows]:
     """Return the state after one more frame and the rows that it completes."""
-    tracks, ended = _seen(state.tracks, moment.time_us, frame_number, estimates)
+    before, ended = _aligned(state.tracks, moment.time_us, frame_number, estimates)
+    tracks = _seen(before, moment.time_us, frame_number, estimates)
     blocks, closed = _close(state.blocks, moment, ended.number)
     blocks = _add_samples(blocks, moment.time_us, frame_number, estimates)
-    fresh = tracks.first_frame == frame_number
-    due = fresh | np.isin(tracks.number, [block.key.number for block in closed])
-    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks.take(due), moment))
+    due = tracks.first_frame == frame_number
+    if closed:
+        due |= np.isin(tracks.number, [block.key.number for block in closed])
+    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks, moment, due=due))
     return Collected(tracks, blocks), rows
 
 
@@ -105,7 +113,7 @@ def collect_tick(state: Collected, moment: Moment, estimates: TrackEstimates) ->
     tracks, ended = state.tracks.take(stay), state.tracks.take(~stay)
     blocks, closed = _close(state.blocks, moment, ended.number)
     due = np.isin(tracks.number, [block.key.number for block in closed])
-    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks.take(due), moment))
+    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks, moment, due=due))
     return Collected(tracks, blocks), rows
 
 
@@ -115,42 +123,65 @@ def end_all(state: Collected, moment: Moment) -> Rows:
     return Rows(tuple(closed), _summaries(state.tracks, moment, ended=True))
 
 
-def _seen(
+def _aligned(
     tracks: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates
 ) -> tuple[OpenTracks, OpenTracks]:
-    """Return the listed tracks with this frame added, and those that are listed no more."""
+    """Return what was seen before of each track listed now, and the tracks that are listed no more."""
+    if np.array_equal(tracks.number, now.number):
+        return tracks, _NO_TRACKS
     ended = tracks.take(~np.isin(tracks.number, now.number))
     where = np.searchsorted(tracks.number, now.number)
     known = np.zeros(len(now), dtype=np.bool_)
     inside = where < len(tracks.number)
     known[inside] = tracks.number[where[inside]] == now.number[inside]
+    aligned = _newborn(time_us, frame_number, now)
+    for item in dataclasses.fields(aligned):
+        getattr(aligned, item.name)[known] = getattr(tracks, item.name)[where[known]]
+    return aligned, ended
+
+
+def _newborn(time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
+    """Return tracks that begin where they are now, with no frame counted, in arrays of their own."""
+    count = len(now)
+    zero = np.zeros(count)
+    time, frame = np.full(count, time_us, dtype=np.int64), np.full(count, frame_number, dtype=np.int64)
+    x, y = now.x_m.astype(np.float64), now.y_m.astype(np.float64)
+    return OpenTracks(
+        number=now.number.copy(), first_us=time, last_us=time.copy(), first_frame=frame,
+        last_frame=frame.copy(), states=np.zeros(count, dtype=np.int64), hits=now.hits.copy(),
+        length_m=zero.copy(), width_m=zero.copy(), existence=zero.copy(), first_x_m=x, first_y_m=y,
+        last_x_m=x.copy(), last_y_m=y.copy(), anchor_x_m=x.copy(), anchor_y_m=y.copy(),
+        distance_m=zero.copy(), speed_sum_mps=zero.copy(), speed_max_mps=zero.copy(),
+    )  # fmt: skip
+
+
+def _seen(before: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
+    """Return the tracks with this frame added."""
     x, y = now.x_m.astype(np.float64), now.y_m.astype(np.float64)
     speed = np.hypot(now.vx_mps.astype(np.float64), now.vy_mps.astype(np.float64))
-    count = len(now)
-    time, frame = np.full(count, time_us, dtype=np.int64), np.full(count, frame_number, dtype=np.int64)
-    born = OpenTracks(
-        now.number, time, time, frame, frame, np.zeros(count, dtype=np.int64), now.hits,
-        now.length_m.astype(np.float64), now.width_m.astype(np.float64), now.existence.astype(np.float64),
-        x, y, x, y, x, y, np.zeros(count), np.zeros(count), np.zeros(count),
-    )  # fmt: skip
-    past = {item.name: getattr(born, item.name).copy() for item in dataclasses.fields(born)}
-    for name, column in past.items():
-        column[known] = getattr(tracks, name)[where[known]]
-    step = np.hypot(x - past["anchor_x_m"], y - past["anchor_y_m"])
+    step = np.hypot(x - before.anchor_x_m, y - before.anchor_y_m)
     moved = step >= ANCHOR_STEP_M
-    return dataclasses.replace(
-        born,
-        first_us=past["first_us"],
-        first_frame=past["first_frame"],
-        first_x_m=past["first_x_m"],
-        first_y_m=past["first_y_m"],
-        states=past["states"] + 1,
-        anchor_x_m=np.where(moved, x, past["anchor_x_m"]),
-        anchor_y_m=np.where(moved, y, past["anchor_y_m"]),
-        distance_m=past["distance_m"] + np.where(moved, step, 0.0),
-        speed_sum_mps=past["speed_sum_mps"] + speed,
-        speed_max_mps=np.maximum(past["speed_max_mps"], speed),
-    ), ended
+    return OpenTracks(
+        number=before.number,
+        first_us=before.first_us,
+        last_us=np.full(len(now), time_us, dtype=np.int64),
+        first_frame=before.first_frame,
+        last_frame=np.full(len(now), frame_number, dtype=np.int64),
+        states=before.states + 1,
+        hits=now.hits,
+        length_m=now.length_m.astype(np.float64),
+        width_m=now.width_m.astype(np.float64),
+        existence=now.existence.astype(np.float64),
+        first_x_m=before.first_x_m,
+        first_y_m=before.first_y_m,
+        last_x_m=x,
+        last_y_m=y,
+        anchor_x_m=np.where(moved, x, before.anchor_x_m),
+        anchor_y_m=np.where(moved, y, before.anchor_y_m),
+        distance_m=before.distance_m + np.where(moved, step, 0.0),
+        speed_sum_mps=before.speed_sum_mps + speed,
+        speed_max_mps=np.maximum(before.speed_max_mps, speed),
+    )
 
 
 def _no_blocks(second: int) -> OpenBlocks:
@@ -196,8 +227,12 @@ def _block(blocks: OpenBlocks, moment: Moment, number: int) -> StateBlock:
     return StateBlock(key, blocks.second, int(frames[0]), samples.tobytes())
 
 
-def _summaries(tracks: OpenTracks, moment: Moment, *, ended: bool = False) -> tuple[TrackSummary, ...]:
-    return tuple(_summary(tracks, i, moment, ended=ended) for i in range(len(tracks.number)))
+def _summaries(
+    tracks: OpenTracks, moment: Moment, *, due: Bool | None = None, ended: bool = False
+) -> tuple[TrackSummary, ...]:
+    """Return the summaries of the tracks that are due (None: all)."""
+    wanted = range(len(tracks.number)) if due is None else np.flatnonzero(due).tolist()
+    return tuple(_summary(tracks, i, moment, ended=ended) for i in wanted)
 
 
 def _summary(tracks: OpenTracks, i: int, moment: Moment, *, ended: bool) -> TrackSummary:

@@ -55,18 +55,17 @@ def step(
     state: FoldState[S], position: int, record: Record, tracker: Tracker[S]
 ) -> tuple[FoldState[S], FoldOutput]:
     """Return the state after the record at `position`, and what the record led to."""
-    state, out = replace(state, position=position), _Output()
+    out = _Output()
     restarted = None
     match record:
         case FrameRecord():
             order, admission = admit(state.order, record.frame)
             if admission.clock_step:
                 restarted = CLOCK_SET_BACK
-                state = _begin_anew(state, out, tracker)
-            state = replace(state, order=order)
+                state = _begin_anew(replace(state, position=position), out, tracker)
         case ControlRecord() | TickRecord():
             order, admission = flush(state.order)
-            state = replace(state, order=order)
+    state = replace(state, position=position, order=order)
     for released in admission.released:
         state = _fold_frame(state, released, out, tracker)
     match record:

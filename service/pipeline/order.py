@@ -132,6 +132,8 @@ def admit(state: OrderState, frame: Frame) -> tuple[OrderState, Admission]:
     if opens:
         state = _open_boot(state, boot, frame.boot_id)
     state, after = _place(state, frame)
+    if not (before.released or before.missing or before.dropped):
+        return state, after
     return state, replace(
         after,
         released=before.released + after.released,
@@ -179,7 +181,8 @@ def _place(state: OrderState, frame: Frame) -> tuple[OrderState, Admission]:
         return state, Admission(Fate.LATE)
     if state.time_us is not None and frame.time_us <= state.time_us:
         return _behind(state, frame) if rising else (state, Admission(Fate.LATE))
-    if frame.sequence is None or state.sequence is None:
+    next_in_line = state.sequence is not None and frame.sequence == state.sequence + 1 and not state.held
+    if frame.sequence is None or state.sequence is None or next_in_line:
         state, released = _release(state, frame)
         return state, Admission(Fate.TRACKED, (released,))
     held = tuple(sorted((*state.held, frame), key=_sequence))
