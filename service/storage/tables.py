@@ -130,8 +130,8 @@ tracks = Table(
     Index("ix_tracks_stored_day", "stored_day"),
 )
 
-# On SQLite a table in order of arrival with the key as an index beside it: smaller than one WITHOUT ROWID (24.4
-# against 25.5 to 26.6 bytes a state), and the blocks that expire together lie together. No foreign key: the
+# On SQLite a table in order of arrival with the key as an index beside it: smaller than one WITHOUT ROWID
+# (24.4 against 25.5 to 26.6 bytes a state), and blocks that expire together lie together. No foreign key: the
 # ordinal comes from `sensors` in the same transaction, and this is the busiest table.
 track_states = Table(
     "track_states",
