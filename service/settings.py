@@ -23,7 +23,8 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65_535)] = 8321  # 0: any free one
-    allowed_hosts: tuple[
+    # Names that the Host header may hold besides those of the loopback; elsewhere than there, none means any.
+    allowed_hosts: tuple[str, ...] = ()
         str, ...
     ] = ()  # names accepted in the Host header besides the loopback's; empty: see api
     body_limit_bytes: PositiveBytes = ByteSize(16 * 2**20)  # of one request, after decompression
