@@ -37,8 +37,8 @@ def simulate_frames(
 ) -> Iterator[SimulatedFrame]:
     """Yield the frames that get through, until the scene ends.
 
-    `states_after(time_s)` moves the scene to a time since the start and returns its vehicles, None at
-    the end; times grow. `rng` decides on jitter and dropped frames; a dropped frame leaves a gap in `frame.sequence`.
+    `states_after(time_s)` moves the scene to a time since the start and returns its vehicles, None at the
+    end; times grow. `rng` decides on jitter and dropped frames; these leave a gap in `frame.sequence`.
     """
     p = radar.parameters
     last_s, number = -1 / p.rate_hz, 0

@@ -64,7 +64,7 @@ def write_scene(
     for simulated in simulate(scenario, seed=seed, duration_s=length_s):
         frames.append(simulated)
         if progress is not None:
-            progress(min((simulated.frame.sequence or 0) + 1, total), total)
+            progress(min((simulated.frame.sequence or 0) + 1, total - 1), total)
     out_dir.mkdir(parents=True, exist_ok=True)
     road = _road_truth(scenario, frames)
     _write_text(out_dir / "site.json", json.dumps(site(scenario, length_s), indent=1) + "\n")
@@ -72,6 +72,8 @@ def write_scene(
     _write_gzip(out_dir / "frames.jsonl.gz", (_compact(frame_row(f.frame)) for f in frames))
     _write_gzip(out_dir / "labels.jsonl.gz", (_compact(_label_row(f)) for f in frames))
     _write_gzip(out_dir / "truth.csv.gz", [TRUTH_HEADER, *_truth_lines(scenario, frames)])
+    if progress is not None:
+        progress(total, total)  # also when the last frames were dropped
     return _summary(scenario, seed, length_s, frames, road)
 
 

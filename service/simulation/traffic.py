@@ -126,7 +126,7 @@ class Traffic:
         )
         distance, fleet.speed_mps = advance(fleet.speed_mps, fleet.acceleration_mps2, dt_s)
         s = fleet.travel_m * self._direction[fleet.lane]
-        fleet.travel_m = fleet.travel_m + distance / self.road.shrink(s, self._offset_m[fleet.lane])
+        fleet.travel_m = fleet.travel_m + distance / self.road.shrink(s, self._lateral()[0])
         pace = np.minimum(fleet.speed_mps / FULL_LATERAL_SPEED_MPS, 1.0)
         fleet.progress = np.minimum(fleet.progress + pace * dt_s / fleet.change_s, 1.0)
         fleet.old_lane = np.where(fleet.progress >= 1, fleet.lane, fleet.old_lane)

@@ -1,8 +1,8 @@
 """Given trajectories, recorded or simulated elsewhere, as vehicles that a simulated radar can look at.
 
 Two file formats: the truth of a scene directory (`truth.csv.gz`, plan frame, a row for each frame and
-vehicle) and trajectories of a site (gzip CSV with the header `vehicle_id,t_s,x_m,y_m,vx_mps,vy_mps,length_m,width_m,
-class,lane_id`; x about east, y about north).
+vehicle), and trajectories of a site (gzip CSV, columns `vehicle_id, t_s, x_m, y_m, vx_mps, vy_mps, length_m,
+width_m, class, lane_id`; x about east, y about north).
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ class TrajectorySampler:
     def __init__(self, trajectories: Trajectories) -> None:
         self.trajectories = t = trajectories
         _, self._first, rank = np.unique(t.vehicle_id, return_index=True, return_inverse=True)
+        self._end = np.append(self._first[1:], len(t))
         self._origin_s = float(t.time_s.min())
         self._stride_s = float(t.time_s.max()) - self._origin_s + 1.0
         self._key = rank * self._stride_s + t.time_s - self._origin_s
@@ -88,10 +89,10 @@ class TrajectorySampler:
         """
         t = self.trajectories
         begun = np.arange(len(self._first)) * self._stride_s + time_s - self._origin_s + SAME_TIME_S
-        last = np.searchsorted(self._key, begun, side="right") - 1
+        last = np.minimum(np.searchsorted(self._key, begun, side="right"), self._end) - 1
         k = last[last >= self._first]
         n = np.minimum(k + 1, len(t) - 1)
-        joined = (t.vehicle_id[n] == t.vehicle_id[k]) & (t.time_s[n] - t.time_s[k] <= LONGEST_GAP_S)
+        joined = (n > k) & (t.vehicle_id[n] == t.vehicle_id[k]) & (t.time_s[n] - t.time_s[k] <= LONGEST_GAP_S)
         n = np.where(joined, n, k)
         there = joined | (np.abs(t.time_s[k] - time_s) <= SAME_TIME_S)
         k, n = k[there], n[there]

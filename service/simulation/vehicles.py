@@ -32,8 +32,8 @@ Interval = tuple[float, float]
 class KindParameters:
     """Sizes of one kind (drawn evenly from the intervals) and how its drivers follow a leader.
 
-    Sizes: European type approval limits (12 m rigid, 16.5 m articulated, 2.55 m wide, 4 m high) and the
-    span of current passenger cars. Driver values: after Treiber, Kesting 2013, "Traffic Flow Dynamics", chapter 11.
+    Sizes: European type approval limits (12 m rigid, 16.5 m articulated, 2.55 m wide, 4 m high) and the span
+    of current cars. Driver values: after Treiber, Kesting 2013, "Traffic Flow Dynamics", chapter 11.
     """
 
     length_m: Interval
