@@ -25,12 +25,8 @@ class Settings(BaseSettings):
     port: Annotated[int, Field(ge=0, le=65_535)] = 8321  # 0: any free one
     # Names that the Host header may hold besides those of the loopback; elsewhere than there, none means any.
     allowed_hosts: tuple[str, ...] = ()
-        str, ...
-    ] = ()  # names accepted in the Host header besides the loopback's; empty: see api
     body_limit_bytes: PositiveBytes = ByteSize(16 * 2**20)  # of one request, after decompression
-    clock_ahead_limit_s: PositiveSeconds = (
-        60.0  # frames whose time is further ahead of the host's are refused
-    )
+    clock_ahead_limit_s: PositiveSeconds = 60.0  # frames further ahead of the host's clock are refused
 
     log_limit_bytes: PositiveBytes = ByteSize(2 * 2**30)  # of all sensors together; the oldest segments go
     log_segment_bytes: PositiveBytes = ByteSize(256 * 2**20)
