@@ -81,7 +81,11 @@ class SqliteLog:
         self._refusal: str | None = None
         self._room_checked_s = -_ROOM_CHECK_S
         self.damaged_records = 0
-        self._open_segments()
+        try:
+            self._open_segments()
+        except BaseException:
+            os.close(self._lock_file)
+            raise
         self._writer = threading.Thread(target=self._write_all, name="wayside-log", daemon=True)
         self._writer.start()
 
