@@ -1,7 +1,8 @@
 """Measure one step of the tracker, points to tracks, under growing load.
 
 A shared machine is never equally fast twice, so every time stands beside one numpy product of two 6 x 6
-matrices measured between the same steps, and is given as a multiple of it too.
+matrices measured between the same steps, and is given as a multiple of it too. The loads take turns of a few
+steps, so that a slow minute slows all of them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import math
 import pstats
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -22,12 +23,14 @@ from service.evaluation.steady import Load, steady_frames
 from service.tracking import tracker
 from service.tracking.model import Frame
 from service.tracking.parameters import TrackerParameters
+from service.tracking.state import TrackerState
 
 Clock = Callable[[], float]
 
 LOADS = (Load(30, 140), Load(60, 260), Load(120, 500))
 _SEED = 1
 _PRODUCTS = 100  # products for one reading of the clock, which is too coarse for one
+_TURN = 20  # steps of one load before the next one has its turn
 _PROFILE_LINES = 30
 
 
@@ -57,31 +60,46 @@ def bench(
 ) -> list[Timing]:
     """Time `steps` steps under each load, after `warm_up` steps that do not count (compilation, births)."""
     chosen = parameters if parameters is not None else TrackerParameters()
-    return [_time_load(load, chosen, warm_up, steps, clock) for load in loads]
+    runs = [_Run(_frames(load, warm_up + steps, chosen), tracker.initial_state(chosen)) for load in loads]
+    for begin in range(0, warm_up + steps, _TURN):
+        for run in runs:
+            run.advance(begin, begin + _TURN, chosen, clock)
+    return [run.timing(load, warm_up) for run, load in zip(runs, loads, strict=True)]
 
 
-def _time_load(load: Load, parameters: TrackerParameters, warm_up: int, steps: int, clock: Clock) -> Timing:
-    frames = _frames(load, warm_up + steps, parameters)
-    state = tracker.initial_state(parameters)
-    matrix = np.eye(6) + 0.01
-    step_s, product_s, tracks = [], [], 0
-    for frame in frames:
-        begin = clock()
-        state, estimates, _ = tracker.step(state, frame, parameters)
-        end = clock()
-        step_s.append(end - begin)
-        for _ in range(_PRODUCTS):
-            _ = matrix @ matrix
-        product_s.append((clock() - end) / _PRODUCTS)
-        tracks = len(estimates)
-    counted = np.array(step_s[warm_up:])
-    return Timing(
-        load=load,
-        tracks=tracks,
-        median_s=float(np.median(counted)),
-        p99_s=float(np.percentile(counted, 99)),
-        product_s=float(np.median(product_s[warm_up:])),
-    )
+@dataclass(slots=True)
+class _Run:
+    """The tracker under one load, and the readings taken so far."""
+
+    frames: list[Frame]
+    state: TrackerState
+    tracks: int = 0
+    step_s: list[float] = field(default_factory=list)
+    product_s: list[float] = field(default_factory=list)
+
+    def advance(self, begin: int, end: int, parameters: TrackerParameters, clock: Clock) -> None:
+        """Take the steps of the frames begin:end."""
+        matrix = np.eye(6) + 0.01
+        for frame in self.frames[begin:end]:
+            before = clock()
+            self.state, estimates, _ = tracker.step(self.state, frame, parameters)
+            after = clock()
+            for _ in range(_PRODUCTS):
+                _ = matrix @ matrix
+            self.product_s.append((clock() - after) / _PRODUCTS)
+            self.step_s.append(after - before)
+            self.tracks = len(estimates)
+
+    def timing(self, load: Load, warm_up: int) -> Timing:
+        """Return the result of the steps after `warm_up`."""
+        counted = np.array(self.step_s[warm_up:])
+        return Timing(
+            load=load,
+            tracks=self.tracks,
+            median_s=float(np.median(counted)),
+            p99_s=float(np.percentile(counted, 99)),
+            product_s=float(np.median(self.product_s[warm_up:])),
+        )
 
 
 def _frames(load: Load, count: int, parameters: TrackerParameters) -> list[Frame]:
