@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import socket
+import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, nullcontext
 from types import FrameType
@@ -28,6 +29,11 @@ Beside = Callable[[EmbeddedHost], AbstractAsyncContextManager[None]]
 
 GRACE_S = 10  # for requests under way when the service is told to stop; streams end at once
 BACKLOG = 512
+
+# How long the tracker thread may keep the interpreter from the event loop. Python's 5 ms add up over the
+# several times that a request lets go of it: at ten sensors of 20 Hz the median from post to readable fell from
+# 161 to 76 ms on two cores that were busy otherwise.
+SWITCH_S = 0.001
 
 
 def run(
@@ -55,6 +61,7 @@ def run(
             app = create_app(host, engine, settings, insecure=insecure)
             failures = _watch(app, host, beside)
             server = Server(app, settings, on_ready)
+            sys.setswitchinterval(SWITCH_S)
             with _calm_signals():
                 server.run(sockets=[listener])
             if failures:
