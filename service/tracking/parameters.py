@@ -15,6 +15,14 @@ import typing
 from dataclasses import dataclass, field
 
 from service.errors import InvalidInput
+from service.tracking.births import BirthParameters
+from service.tracking.clustering_parameters import ClusteringParameters
+from service.tracking.clutter import ClutterParameters
+from service.tracking.existence import ExistenceParameters
+from service.tracking.extent import ExtentParameters
+from service.tracking.filters.parameters import FilterParameters
+from service.tracking.merging import MergingParameters
+from service.tracking.road_map import RoadMapParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +48,47 @@ class SensorModel:
 
 
 @dataclass(frozen=True, slots=True)
+class AssociationParameters:
+    """Gates and densities of the association of points with boxes."""
+
+    gate: float = 12.0  # squared distance of a point to a box
+    cluster_gate: float = 25.0  # ... when its cluster belongs to that box alone
+    ellipse_gate: float = 25.0  # squared distance of a measured centre of another box's points; 3 dimensions
+    tentative_handicap: float = 4.0  # in squared distance: a confirmed box goes first
+    growth_reach_m: float = (
+        5.0  # a box may reach this far beyond its far end, half a second of travel at most
+    )
+    young_hits: int = 40  # hits up to which the near end may reach out half as far, later a fifth
+    clutter_per_m2_mps: float = (
+        1e-5  # density of measurements that are of no track, in the plane and in Doppler
+    )
+    clutter_per_m2: float = 3e-4  # the same for a radar without Doppler
+    temper: float = 1.0  # power of the joint weights of contested components; 1: none
+    doppler_noise_factor: float = 1.3  # wheels and turning bodies spread the Doppler of a vehicle's points
+    doppler_floor_mps: float = 0.05
+    widen_after: int = 3  # empty frames in a row after which the gate is widened
+    widen_position_m2: float = 0.06  # per frame; (T^2 25) of the note
+    widen_velocity_m2ps2: float = 0.5
+    off_road_range_m: float = 140.0  # farther out the road map has not been taught
+    birth_accel_std_mps2: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class TrackerParameters:
     """How the tracker works; one set of defaults serves every road."""
 
     sensor: SensorModel = field(default_factory=SensorModel)
     filter: str = "astekf"  # name in service.tracking.filters.registry
+    filters: FilterParameters = field(default_factory=FilterParameters)
+    # three points, not four: a car at 140 m gives one a frame, and two frames of three start its track
+    clustering: ClusteringParameters = field(default_factory=lambda: ClusteringParameters(min_points=3.0))
+    clutter: ClutterParameters = field(default_factory=ClutterParameters)
+    boxes: AssociationParameters = field(default_factory=AssociationParameters)
+    extent: ExtentParameters = field(default_factory=ExtentParameters)
+    existence: ExistenceParameters = field(default_factory=ExistenceParameters)
+    birth: BirthParameters = field(default_factory=BirthParameters)
+    merging: MergingParameters = field(default_factory=MergingParameters)
+    road: RoadMapParameters = field(default_factory=RoadMapParameters)
 
     def with_setting(self, key: str, text: str) -> TrackerParameters:
         """Return a copy with one dotted key set from its text, such as ("clustering.window_frames", "6").
@@ -71,7 +115,9 @@ def _set(group: object, key: str, path: list[str], text: str) -> object:
     names = {f.name for f in dataclasses.fields(group)}  # type: ignore[arg-type]
     head, rest = path[0], path[1:]
     if head not in names:
-        raise InvalidInput.at(f"/{key}", f"no such parameter; {head!r} is not one of {', '.join(sorted(names))}")
+        raise InvalidInput.at(
+            f"/{key}", f"no such parameter; {head!r} is not one of {', '.join(sorted(names))}"
+        )
     value = getattr(group, head)
     if dataclasses.is_dataclass(value):
         if not rest:

@@ -1,0 +1,236 @@
+"""Start tracks: moving vehicles from clusters that no track claims, standing ones from points that stay."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, I64, Bool
+
+MAX_STANDING_BOXES = 12  # a bound on the work of one frame, in counts
+
+
+@dataclass(frozen=True, slots=True)
+class BirthParameters:
+    """What it takes to start a track."""
+
+    min_points: int = 3  # unclaimed points of one cluster in the window
+    min_frames: int = 2  # from so many different frames
+    keep_out_m: float = 1.0  # nothing starts within this of a box
+    tangential_std_mps: float = 2.5  # speed across the line of sight that a new track may have
+    radial_std_mps: float = 0.4
+    length_m: float = 4.4  # a car until more is known
+    width_m: float = 1.9
+    standing_interval_frames: int = 5
+    standing_window_s: float = 1.0
+    standing_min_frames: int = 10  # half the window at 20 Hz
+    standing_points_per_frame: float = 2.6  # a post gives one
+    standing_spread_m: float = 1.5
+    driven_points_per_frame: float = 0.8  # where vehicles have driven less will do
+    standing_cluster_points: int = 6
+    standing_along_m: float = 1.3  # gap that a standing vehicle's side may show
+    standing_across_m: float = 1.2
+
+
+@dataclass(frozen=True, slots=True)
+class Births:
+    """B new tracks: centre, heading, velocity and their standard deviations in the axes of the line of sight."""
+
+    x_m: F64
+    y_m: F64
+    heading_rad: F64
+    vx_mps: F64
+    vy_mps: F64
+    std_radial_m: F64
+    std_tangential_m: F64
+    std_radial_mps: F64
+    std_tangential_mps: F64
+    points: F64  # points in this frame
+    extent_m: F64
+    length_m: F64
+    standing: Bool
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+
+@kernel
+def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points: int, min_frames: int) -> I64:
+    """Return the labels with enough free points, from enough frames, one of them the current one."""
+    n_labels = 0
+    for k in range(len(label)):
+        n_labels = max(n_labels, label[k] + 1)
+    points = np.zeros(n_labels, dtype=np.int64)
+    frames = np.zeros(n_labels, dtype=np.int64)
+    newest = np.full(n_labels, -1, dtype=np.int64)
+    for k in range(len(label)):  # oldest frame first: a change of frame is a new frame
+        c = label[k]
+        if c >= 0 and free[k]:
+            points[c] += 1
+            if frame[k] != newest[c]:
+                frames[c] += 1
+                newest[c] = frame[k]
+    good = (points >= min_points) & (frames >= min_frames) & (newest == current)
+    return np.flatnonzero(good)
+
+
+def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64 | None:
+    """Return one row of Births' floats for the current points of a cluster, None when they do not move.
+
+    points (n, POINT_COLUMNS). The velocity is the Doppler along the line of sight, or along the road's direction where
+    the road map knows it.
+    """
+    v = float(np.nanmedian(points[:, PV])) if np.isfinite(points[:, PV]).any() else math.nan
+    weight = points[:, PWEIGHT]
+    x, y = (float(np.average(points[:, c], weights=weight)) for c in (PX, PY))
+    g = math.hypot(x, y)
+    los = math.atan2(x, y)
+    speed = 0.0 if math.isnan(v) else v
+    heading = los if speed >= 0.0 else los + math.pi
+    vx, vy = speed * math.sin(los), speed * math.cos(los)
+    std_tangential = p.tangential_std_mps
+    if road_heading_rad is not None:
+        along = math.cos(road_heading_rad - los)
+        if abs(along) > 0.5 and (speed * along > 0.0 or abs(speed) < 1.0):
+            heading = road_heading_rad
+            vx, vy = speed / along * math.sin(heading), speed / along * math.cos(heading)
+            std_tangential = min(std_tangential, 1.5)
+    near = float(points[:, PG].min())
+    centre = near + 0.05 + 0.5 * p.length_m * abs(math.cos(heading - los))
+    n = len(points)
+    std_t = math.sqrt(float(np.average(points[:, PVAR_AZ], weights=weight)) * g * g / n + 0.16)
+    return np.array([
+        x * centre / g, y * centre / g, heading, vx, vy, math.sqrt(float(points[:, PVAR_R].mean()) + 0.16), std_t,
+        p.radial_std_mps if not math.isnan(v) else 10.0, std_tangential if not math.isnan(v) else 10.0, n,
+        float(np.ptp(points[:, PG])), p.length_m, 0.0,
+    ])  # fmt: skip
+
+
+def gather(rows: list[F64]) -> Births:
+    """Return the rows of `moving_birth` and `standing_births` as columns."""
+    table = np.array(rows).reshape(-1, 13)
+    return Births(*table.T[:12], standing=table[:, 12] > 0.5)
+
+
+@kernel
+def _best_box(
+    x: F64, y: F64, headings: F64, length_m: float, width_m: float
+) -> tuple[int, float, float, int]:
+    best = (0, 0.0, 0.0, 0)
+    for h in range(len(headings)):
+        s, c = math.sin(headings[h]), math.cos(headings[h])
+        u = s * x + c * y
+        w = c * x - s * y
+        for a in range(len(u)):
+            for b in range(len(u)):
+                if not (u[a] <= u[b] <= u[a] + length_m):
+                    continue
+                count = 0
+                for k in range(len(u)):
+                    if u[a] <= u[k] <= u[a] + length_m and w[b] <= w[k] <= w[b] + width_m:
+                        count += 1
+                if count > best[3]:
+                    best = (h, u[a], w[b], count)
+    return best
+
+
+def standing_births(
+    points: F64, frames: int, driven: Bool, road_heading_rad: F64, p: BirthParameters
+) -> list[F64]:
+    """Return rows of Births' floats for the standing vehicles in the points of the last second.
+
+    points (N, POINT_COLUMNS) of `frames` frames, standing, in no box and in no clutter cell; driven (N,): vehicles have
+    driven there, in direction road_heading_rad (N,). A box is taken when its points are too many for posts, or fewer on
+    a driven place; it is stretched along a side while the gaps stay small (buses), then its points are taken away.
+    """
+    rows: list[F64] = []
+    if len(points) < p.standing_cluster_points:
+        return rows
+    # one scatterer repeats in every frame: thin to cells and remember how many points each stands for
+    cell = np.round(points[:, [PX, PY]] / 0.3).astype(np.int64)
+    _, first, back, times = np.unique(
+        cell, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    x = np.bincount(back, points[:, PX]) / times
+    y = np.bincount(back, points[:, PY]) / times
+    on_road, along = driven[first], road_heading_rad[first]
+    group = _groups(x, y, p.standing_along_m)
+    left = np.bincount(group, times)[group] >= p.standing_cluster_points
+    for _ in range(MAX_STANDING_BOXES):
+        if left.sum() < 2:
+            break
+        seed = int(np.argmax(np.where(left, times, 0)))
+        near = left & (group == group[seed])
+        row = _standing_box(x, y, times, near, frames, bool(on_road[seed]), float(along[seed]), p)
+        if row is None:
+            left[seed] = False
+            continue
+        found, inside = row
+        left &= ~inside
+        rows.append(found)
+    return rows
+
+
+def _groups(x: F64, y: F64, reach_m: float) -> I64:
+    """Return the group of each place: those that chain with steps under `reach_m` are one."""
+    near = np.hypot(x[:, None] - x, y[:, None] - y) < reach_m
+    return np.asarray(connected_components(csr_array(near), directed=False)[1], dtype=np.int64)
+
+
+def _standing_box(
+    x: F64,
+    y: F64,
+    times: I64,
+    near: Bool,
+    frames: int,
+    on_road: bool,
+    road_heading: float,
+    p: BirthParameters,
+) -> tuple[F64, Bool] | None:
+    index = np.flatnonzero(near)[:60]  # a bound on the work, in counts
+    los = math.atan2(float(x[index].mean()), float(y[index].mean()))
+    headings = [los, los + math.pi / 2, 0.0, math.pi / 2]
+    if on_road:
+        headings = [road_heading]
+    elif len(index) >= 4:
+        values, vectors = np.linalg.eigh(np.cov(np.stack([x[index], y[index]])))
+        headings.append(math.atan2(vectors[0, 1], vectors[1, 1]))
+    h, u0, w0, _ = _best_box(x[index], y[index], np.array(headings), 5.0, 2.3)
+    s, c = math.sin(headings[h]), math.cos(headings[h])
+    u, w = s * x + c * y, c * x - s * y
+    side = near & (w >= w0) & (w <= w0 + 2.3)
+    ordered = np.sort(u[side & (u >= u0)])
+    steps = np.diff(ordered)
+    gap = np.flatnonzero((steps > p.standing_along_m) & (ordered[1:] > u0 + 5.0))
+    end = float(ordered[gap[0]] if len(gap) else ordered[-1])
+    end = min(end, u0 + 18.0)
+    inside = side & (u >= u0) & (u <= end)
+    count, spread = int(times[inside].sum()), float(max(np.ptp(u[inside]), np.ptp(w[inside])))
+    rate = count / frames
+    enough = rate >= p.standing_points_per_frame and spread > p.standing_spread_m
+    enough |= on_road and rate >= p.driven_points_per_frame and count >= p.standing_cluster_points
+    if not enough:
+        return None
+    heading = headings[h]
+    if math.cos(heading - los) > 0.0 and not on_road:
+        heading += math.pi  # an unknown direction: facing the radar
+    length = max(p.length_m, end - u0 + 0.4)
+    # the nearest end is seen, the far one may not be
+    centre_u = 0.5 * (u0 + end)
+    to_radar = -(s * math.sin(los) + c * math.cos(los))
+    if abs(to_radar) > 0.5:
+        centre_u = end - length / 2 + 0.05 if to_radar > 0 else u0 + length / 2 - 0.05
+    centre_w = float(np.average(w[inside], weights=times[inside]))
+    return (
+        np.array([
+            s * centre_u + c * centre_w, c * centre_u - s * centre_w, heading, 0.0, 0.0, 0.6, 0.6, 0.3, 0.5,
+            rate, end - u0, length, 1.0,
+        ]),
+        inside,
+    )  # fmt: skip

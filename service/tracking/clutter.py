@@ -1,0 +1,146 @@
+"""Learn where the radar always sees the same standing points, so that posts and rails start no tracks.
+
+The map holds, per cell of range and azimuth, how often a lone standing point was seen there lately. A vehicle that
+stands gives several points beside one another; a post gives exactly one, so only lone points are learned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.tracking.boxes import PG, PV, PX, PY
+from service.tracking.kernel import kernel
+from service.tracking.model import F32, F64, Bool
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterParameters:
+    """Cells, memory and thresholds of the clutter map."""
+
+    cell_range_m: float = 0.4
+    cell_azimuth_rad: float = math.radians(0.5)
+    learn_frames: float = 40.0  # time constant with which a cell that always gives a point fills
+    forget_frames: float = 400.0  # ... and with which it empties: a post hidden by a queue is not forgotten
+    standing_mps: float = 0.45  # slower points may be standing: 4 Doppler deviations
+    slow_mps: float = 1.3  # swaying foliage stays under this
+    ignore_occupancy: float = 0.35  # a standing point in such a cell is not used
+    no_birth_occupancy: float = 0.2  # a slow point in such a cell starts nothing
+    lone_range_m: float = 1.6  # two more standing points this near make none of them a post
+    lone_across_m: float = 2.5
+    rail_reach_m: float = 6.0  # posts of a rail stand about 4 m apart
+    range_max_m: float = 180.0
+    azimuth_max_rad: float = math.radians(70.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ClutterMap:
+    """Occupancy (R, A) of the cells, 0..1."""
+
+    occupancy: F32
+
+
+def empty_map(parameters: ClutterParameters) -> ClutterMap:
+    """Return a map that has seen nothing."""
+    rows = math.ceil(parameters.range_max_m / parameters.cell_range_m)
+    columns = math.ceil(2 * parameters.azimuth_max_rad / parameters.cell_azimuth_rad)
+    return ClutterMap(np.zeros((rows, columns), dtype=np.float32))
+
+
+@kernel
+def _look_up(occupancy: F32, row: F64, column: F64) -> F64:
+    rows, columns = occupancy.shape
+    out = np.zeros(len(row))
+    for k in range(len(row)):
+        i, j = int(row[k]), int(column[k])
+        if i < 0 or j < 0 or i >= rows or j >= columns:
+            continue
+        best = 0.0
+        for a in range(max(i - 1, 0), min(i + 2, rows)):
+            for b in range(max(j - 1, 0), min(j + 2, columns)):
+                best = max(best, occupancy[a, b])
+        out[k] = best
+    return out
+
+
+@kernel
+def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, free: Bool, lone_range_m: float,
+           lone_across_m: float, gain: float, loss: float) -> F32:  # fmt: skip
+    rows, columns = occupancy.shape
+    out = (occupancy * np.float32(1.0 - loss)).astype(np.float32)
+    n = len(row)
+    for k in range(n):
+        if not (standing[k] and free[k]):
+            continue
+        company = 0
+        for m in range(n):
+            if m == k or not standing[m]:
+                continue
+            if abs(points[m, PG] - points[k, PG]) < lone_range_m:
+                across = math.hypot(points[m, PX] - points[k, PX], points[m, PY] - points[k, PY])
+                if across < math.hypot(lone_across_m, lone_range_m):
+                    company += 1
+        i, j = int(row[k]), int(column[k])
+        if company > 1 or i < 0 or j < 0 or i >= rows or j >= columns:
+            continue
+        for a in range(max(i - 1, 0), min(i + 2, rows)):
+            for b in range(max(j - 1, 0), min(j + 2, columns)):
+                share = 1.0 if a == i and b == j else 0.5
+                out[a, b] += gain * share * (1.0 - out[a, b])
+    return out
+
+
+def _cells(points: F64, parameters: ClutterParameters) -> tuple[F64, F64]:
+    row = np.floor(points[:, PG] / parameters.cell_range_m)
+    azimuth = np.arctan2(points[:, PX], points[:, PY])
+    column = np.floor((azimuth + parameters.azimuth_max_rad) / parameters.cell_azimuth_rad)
+    return row, column
+
+
+def occupancy_at(clutter: ClutterMap, points: F64, parameters: ClutterParameters) -> F64:
+    """Return the largest occupancy (N,) in the 3 x 3 cells around each point (N, POINT_COLUMNS)."""
+    return np.asarray(_look_up(clutter.occupancy, *_cells(points, parameters)))
+
+
+def learn(clutter: ClutterMap, points: F64, free: Bool, parameters: ClutterParameters) -> ClutterMap:
+    """Return the map after one more frame; `free` (N,) marks points that no vehicle claims."""
+    standing = np.abs(np.nan_to_num(points[:, PV], nan=np.inf)) < parameters.standing_mps
+    row, column = _cells(points, parameters)
+    p = parameters
+    return ClutterMap(
+        _learn(
+            clutter.occupancy,
+            row,
+            column,
+            points,
+            standing,
+            free,
+            p.lone_range_m,
+            p.lone_across_m,
+            1.0 / p.learn_frames,
+            1.0 / p.forget_frames,
+        )  # fmt: skip
+    )
+
+
+def stands_between(
+    clutter: ClutterMap,
+    range_m: float,
+    azimuth_rad: float,
+    other_azimuth_rad: float,
+    parameters: ClutterParameters,
+) -> bool:
+    """Return whether learned clutter stands between two bearings at about this range: a rail may mirror across it."""
+    p = parameters
+    low, high = sorted((azimuth_rad, other_azimuth_rad))
+    margin = p.cell_azimuth_rad
+    rows = slice(
+        max(int((range_m - p.rail_reach_m) / p.cell_range_m), 0),
+        int((range_m + p.rail_reach_m) / p.cell_range_m),
+    )
+    first = int((low + margin + p.azimuth_max_rad) / p.cell_azimuth_rad)
+    last = int((high - margin + p.azimuth_max_rad) / p.cell_azimuth_rad)
+    cells = clutter.occupancy[rows, max(first, 0) : max(last, 0)]
+    return bool(cells.size and cells.max() > p.ignore_occupancy)

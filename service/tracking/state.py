@@ -1,0 +1,128 @@
+"""The state of one sensor's tracker: tracks as arrays, recent points, maps and counters. A value, never changed in place."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.tracking.boxes import POINT_COLUMNS
+from service.tracking.clutter import ClutterMap
+from service.tracking.model import F64, I64, U8, Bool, TrackStatus
+from service.tracking.road_map import RoadMap
+
+EXTENT_MEMORY = 30  # hits whose extent along the box is remembered
+
+
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """T tracks, in order of number. Mean is [x vx ax y vy ay] of the box centre in the plan frame."""
+
+    number: I64
+    mean: F64  # (T, 6)
+    cov: F64  # (T, 6, 6)
+    memory: F64  # (T, k) what the filter remembers
+    heading_rad: F64  # of the long axis, clockwise from +y
+    length_m: F64
+    width_m: F64
+    log_odds: F64  # of existence
+    status: U8
+    hits: I64
+    empty: I64  # frames in a row without an associated point
+    born_us: I64
+    hit_us: I64  # time of the last hit
+    born_x_m: F64
+    born_y_m: F64
+    standing: Bool  # born as a standing object
+    detect_rate: F64  # running share of frames with a point
+    points_per_hit: F64  # running mean
+    echo_db: F64  # running mean echo strength, R^4 taken out
+    extent_m: F64  # (T, EXTENT_MEMORY) extents along the box, NaN where not yet
+    map_cell: I64  # last cell taught to the road map, -1 none
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def take(self, index: I64 | Bool) -> Tracks:
+        """Return the tracks at `index` (integers or a mask)."""
+        return Tracks(*(getattr(self, f.name)[index] for f in dataclasses.fields(self)))
+
+    def join(self, other: Tracks) -> Tracks:
+        """Return these tracks followed by the others."""
+        names = [f.name for f in dataclasses.fields(self)]
+        return Tracks(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names))
+
+    @property
+    def x_m(self) -> F64:
+        """Centre to the right of the radar, (T,)."""
+        return self.mean[:, 0]
+
+    @property
+    def y_m(self) -> F64:
+        """Centre ahead of the radar, (T,)."""
+        return self.mean[:, 3]
+
+    @property
+    def speed_mps(self) -> F64:
+        """Length of the velocity, (T,)."""
+        return np.hypot(self.mean[:, 1], self.mean[:, 4])
+
+    @property
+    def confirmed(self) -> Bool:
+        """Which tracks are confirmed or coasting."""
+        return self.status != TrackStatus.TENTATIVE
+
+
+def no_tracks(memory_size: int) -> Tracks:
+    """Return zero tracks."""
+    f, i = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Tracks(
+        number=i, mean=np.zeros((0, 6)), cov=np.zeros((0, 6, 6)), memory=np.zeros((0, memory_size)),
+        heading_rad=f, length_m=f, width_m=f, log_odds=f, status=np.zeros(0, dtype=np.uint8), hits=i, empty=i,
+        born_us=i, hit_us=i, born_x_m=f, born_y_m=f, standing=np.zeros(0, dtype=np.bool_), detect_rate=f,
+        points_per_hit=f, echo_db=f, extent_m=np.zeros((0, EXTENT_MEMORY)), map_cell=i,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The points of the last frames, oldest first, and what became of them."""
+
+    points: F64  # (N, POINT_COLUMNS)
+    time_us: I64  # (N,)
+    owned: Bool  # a track claimed the point when it was new
+    standing: Bool  # slower than the Doppler tells from standing
+
+
+def empty_window() -> Window:
+    """Return a window without points."""
+    return Window(
+        np.zeros((0, POINT_COLUMNS)),
+        np.zeros(0, dtype=np.int64),
+        np.zeros(0, dtype=np.bool_),
+        np.zeros(0, dtype=np.bool_),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerState:
+    """All that the next step needs to know of the past."""
+
+    tracks: Tracks
+    window: Window  # frames that clustering joins
+    standing_window: Window  # standing points of the last second, for vehicles that were never seen moving
+    frame_times_us: tuple[int, ...]  # times of the frames in `standing_window`, oldest first
+    clutter: ClutterMap
+    road: RoadMap
+    filter: str
+    next_number: int
+    frames: int
+    time_us: int  # of the newest frame or tick; meaningless while frames == 0
+    range_seen_min_m: float
+    echo_reference_db: float  # running mean echo of confirmed vehicles
+
+    @property
+    def idle(self) -> bool:
+        """True while there is no track at all."""
+        return len(self.tracks) == 0
