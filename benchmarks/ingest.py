@@ -1,7 +1,6 @@
 """Measure ingest: frames per second that one process logs while it tracks, and how soon they are readable.
 
     python benchmarks/ingest.py [--sensors N] [--rate HZ] [--points N] [--seconds S] [--json OUT.json]
-        [--switch-interval S]
 
 Each sensor posts at its rate, one frame a call, without HTTP: the numbers are those of the host.
 "readable" is the time from the call of `submit` to the wake-up of a reader that waits at the live view.
@@ -131,12 +130,9 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--points", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--switch-interval", type=float, default=None, help="of the interpreter, in seconds")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
-    if options.switch_interval:
-        sys.setswitchinterval(options.switch_interval)
     result = measure(options)
     print(json.dumps(result, indent=1))
     if options.json:
