@@ -255,7 +255,9 @@ def propagate(start: I64, column: I64, weight: F64, stay: F64, idle: F64, edge: 
         measurements = max(measurements, column[e] + 1)
     total = np.empty(measurements)  # of each measurement's idle weight and odds
     odds = np.empty(edges)  # of this edge against the track's other options
-    free = 1.0 / np.maximum(idle[:edges], SMALLEST)  # 1 / (weight of being idle or with another track)
+    free = np.empty(edges)  # 1 / (weight of being idle or with another track)
+    for e in range(edges):
+        free[e] = 1.0 / max(idle[e], SMALLEST)
     for _ in range(LBP_ITERATIONS):
         for e in range(edges):
             total[column[e]] = max(idle[e], SMALLEST)
@@ -341,15 +343,13 @@ def solve(
     components = count_gates(log_weight, log_miss, component, gates)
     if components < 0:
         return INVALID, 0
-    E = 0
+    E, room, approximated = 0, tracks + 1, 0
     for j in range(measurements):
         E += gates[j]
-    weight, idle, edge = np.empty((3, E))
-    column, bit, back = np.empty((3, E), np.int64)
-    member, start, layer = np.empty((3, tracks + 1), np.int64)
-    orders = np.empty((2, tracks), np.int64)
-    stay, stay_sum = np.empty(tracks), np.empty(tracks)
-    approximated = 0
+    weight, idle, edge = np.empty(E), np.empty(E), np.empty(E)
+    column, bit, back = np.empty(E, np.int64), np.empty(E, np.int64), np.empty(E, np.int64)
+    member, start, layer = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    stay, stay_sum, orders = np.empty(tracks), np.empty(tracks), np.empty((2, tracks), np.int64)
     for label in range(components):
         size = 0
         for i in range(tracks):

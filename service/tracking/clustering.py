@@ -1,0 +1,169 @@
+"""Turn the points of the last frames into clusters: one for each vehicle candidate."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from service.errors import InvalidInput
+from service.tracking.clustering_kernels import ROUNDING, density_clusters, split_clusters
+from service.tracking.clustering_parameters import ClusteringParameters
+from service.tracking.model import F64, I64
+
+
+def cluster_window(  # noqa: PLR0913 - columns of the points
+    *,
+    x_m: F64,
+    y_m: F64,
+    radial_velocity_mps: F64,
+    age_s: F64,
+    azimuth_std_rad: F64,
+    weights: F64,
+    road_direction: F64 | None,
+    parameters: ClusteringParameters,
+) -> I64:
+    """Return the cluster (N,) of each point of a window, -1 for noise.
+
+    x_m, y_m: (N,) plan position as measured.  radial_velocity_mps: (N,) in the plan, NaN where unknown.
+    age_s: (N,) time since the point was measured.  azimuth_std_rad: (N,).  weights: (N,) evidence of each
+    point; 1 is a point of ordinary strength.  road_direction: (2,) unit vector along the road, either way, or
+    None.
+    """
+    x_m, y_m = compensate(x_m, y_m, radial_velocity_mps, age_s, road_direction, parameters)
+    along_m, across_m = road_axes(x_m, y_m, road_direction)
+    range_m = np.hypot(x_m, y_m)
+    scaled = features(along_m, across_m, range_m, radial_velocity_mps, age_s, azimuth_std_rad, parameters)
+    labels = dbscan(scaled, weights, parameters.min_points, engine=parameters.engine)
+    return split_lateral(labels, across_m, range_m, azimuth_std_rad, parameters)
+
+
+def compensate(  # noqa: PLR0913, PLR0917 - columns of the points
+    x_m: F64,
+    y_m: F64,
+    radial_velocity_mps: F64,
+    age_s: F64,
+    road_direction: F64 | None,
+    parameters: ClusteringParameters,
+) -> tuple[F64, F64]:
+    """Return x and y (N,) of each point at age 0, moved on by its Doppler; points without Doppler stay.
+
+    With a road direction, (2,) or one for each point (N, 2), the point moves along the road at the speed
+    whose radial part is its Doppler; without, along its line of sight.
+    """
+    range_m = np.maximum(np.hypot(x_m, y_m), np.finfo(float).tiny)
+    direction_x, direction_y = x_m / range_m, y_m / range_m
+    path_m = np.where(np.isfinite(radial_velocity_mps), radial_velocity_mps * age_s, 0.0)
+    if road_direction is not None:
+        cosine = direction_x * road_direction[..., 0] + direction_y * road_direction[..., 1]
+        path_m /= np.copysign(np.maximum(np.abs(cosine), parameters.compensation_min_cosine), cosine)
+        direction_x, direction_y = road_direction[..., 0], road_direction[..., 1]
+    return x_m + path_m * direction_x, y_m + path_m * direction_y
+
+
+def road_axes(x_m: F64, y_m: F64, road_direction: F64 | None) -> tuple[F64, F64]:
+    """Return how far along and across the road (N,) points lie; without a direction the road runs forward."""
+    if road_direction is None:
+        return y_m, x_m
+    along_x, along_y = road_direction
+    return x_m * along_x + y_m * along_y, x_m * along_y - y_m * along_x
+
+
+def features(  # noqa: PLR0913, PLR0917 - columns of the points
+    along_m: F64,
+    across_m: F64,
+    range_m: F64,
+    radial_velocity_mps: F64,
+    age_s: F64,
+    azimuth_std_rad: F64,
+    parameters: ClusteringParameters,
+) -> F64:
+    """Return (N, 4) along, across, Doppler and age, each in units of its neighbourhood's radius.
+
+    The scales vary with range only, and slowly, so that the Euclidean distance stays the weighted one; the
+    azimuth noise enters by its median. A point of unknown Doppler takes that of the nearest point which has
+    one; where nobody has one, Doppler separates nothing and the along radius is the middle of its limits.
+    """
+    p = parameters
+    known = np.isfinite(radial_velocity_mps)
+    speed_mps = np.median(np.abs(radial_velocity_mps[known])) if known.any() else np.nan
+    eps_along_m = np.clip(
+        p.eps_along_offset_m + p.eps_along_slope_s * speed_mps, p.eps_along_min_m, p.eps_along_max_m
+    )
+    if not known.any():
+        eps_along_m = (p.eps_along_min_m + p.eps_along_max_m) / 2
+    noise_rad = np.median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
+    scaled = np.empty((len(along_m), 4))
+    scaled[:, 0] = along_m / (eps_along_m * (1.0 + p.eps_along_growth_per_m * range_m))
+    scaled[:, 1] = across_m / np.hypot(p.eps_across_m, p.eps_across_noise * noise_rad * range_m)
+    scaled[:, 2] = np.where(known, radial_velocity_mps, 0.0) / p.eps_doppler_mps
+    scaled[:, 3] = age_s / p.eps_age_s
+    if known.any() and not known.all():
+        rest = [0, 1, 3]
+        nearest = cKDTree(scaled[known][:, rest]).query(scaled[~known][:, rest])[1]
+        scaled[~known, 2] = scaled[known, 2][nearest]
+    return scaled
+
+
+def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "numba") -> I64:
+    """Return the cluster (N,) of each point, numbered by first point, -1 for noise: DBSCAN with radius 1.
+
+    features: (N, 4), finite; distances are Euclidean and a distance of 1 is inside.  weights: (N,).  A point
+    is core when the weights within its radius, its own included, reach min_weight.  A border point joins its
+    nearest core point's cluster (with the engine "scikit-learn" any that it touches), so that the order of
+    the points changes the numbers only.
+    """
+    features, weights = np.ascontiguousarray(features, np.float64), np.ascontiguousarray(weights, np.float64)
+    if features.shape != (len(weights), 4) or not np.isfinite(features).all():
+        raise InvalidInput.at("/features", f"want (N, 4) finite numbers for {len(weights)} weights")
+    if engine == "scikit-learn":
+        return _dbscan_of_scikit_learn(features, weights, min_weight)
+    labels = np.empty(len(features), np.int64)
+    density_clusters(features, weights, min_weight, labels)
+    return labels
+
+
+def _dbscan_of_scikit_learn(features: F64, weights: F64, min_weight: float) -> I64:
+    from sklearn.cluster import DBSCAN  # noqa: PLC0415 - a second of import time, for the reference only
+
+    if len(features) == 0:
+        return np.empty(0, np.int64)
+    # Its limit must be a whole number, so the weights are scaled to the limit 1, and up by what scaling
+    # rounds off.
+    found = DBSCAN(eps=1.0, min_samples=1).fit(
+        features, sample_weight=weights * (1.0 + ROUNDING) / min_weight
+    )
+    labels: I64 = found.labels_.astype(np.int64)
+    inside = labels >= 0
+    first_points = np.unique(labels[inside], return_index=True)[1]
+    labels[inside] = np.argsort(np.argsort(first_points))[labels[inside]]
+    return labels
+
+
+def split_lateral(
+    labels: I64, across_m: F64, range_m: F64, azimuth_std_rad: F64, parameters: ClusteringParameters
+) -> I64:
+    """Return the labels (N,) with clusters cut in two, and again, where two vehicles drive side by side.
+
+    A cluster is cut at its best place across the road when the centres of both parts are further apart than
+    one vehicle is wide, and the cut explains more of the variance than noise and width of one vehicle would
+    by chance. across_m, range_m, azimuth_std_rad: (N,).  Noise stays noise, and clusters are never joined.
+    """
+    p = parameters
+    labels = labels.copy()
+    width_variance_m2 = p.split_width_m**2 / 12  # of points spread evenly over the width
+    split_clusters(
+        labels,
+        np.lexsort((across_m, labels)),
+        np.ascontiguousarray(across_m, np.float64),
+        (range_m * azimuth_std_rad) ** 2 + width_variance_m2,
+        (
+            p.split_skip_ratio,
+            p.split_skip_margin_m2,
+            p.split_separation_m,
+            p.split_gain,
+            p.split_gain_per_point,
+        ),
+        p.split_min_points,
+        p.split_rounds,
+    )
+    return labels

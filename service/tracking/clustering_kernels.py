@@ -1,0 +1,213 @@
+"""The compiled kernels of the clustering: weighted DBSCAN with radius 1, and the lateral split."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.tracking.kernel import kernel, part
+from service.tracking.model import F64, I64
+
+NOISE = -1
+CELL = 1.0 + 1e-6  # side of a grid cell: the radius, and some for rounding
+MOST_CELLS_PER_POINT = 4  # larger cells when a few points lie far out
+ROUNDING = 1e-9  # relative; a sum of weights that should just reach the limit counts as reaching it
+
+
+@part
+def renumber(labels: I64) -> int:
+    """Number the clusters by their first point, in place; return how many there are."""
+    largest = 0
+    for i in range(len(labels)):
+        largest = max(largest, labels[i])
+    number = np.full(largest + 1, -1, np.int64)
+    clusters = 0
+    for i in range(len(labels)):
+        if labels[i] < 0:
+            continue
+        if number[labels[i]] < 0:
+            number[labels[i]] = clusters
+            clusters += 1
+        labels[i] = number[labels[i]]
+    return clusters
+
+
+@part
+def sort_by_cell(features: F64, order: I64, cell: I64) -> tuple[I64, int]:
+    """Sort points (N >= 1, 4) by the cell of a grid over their first two features, row by row.
+
+    Fills `order` (N,) and `cell` (N,), of the sorted points. Returns where each cell begins and the row's
+    length; rows have an empty cell at either end, and an empty row follows.
+    """
+    points = len(features)
+    low0, high0, low1, high1 = features[0, 0], features[0, 0], features[0, 1], features[0, 1]
+    for i in range(points):
+        low0, high0 = min(low0, features[i, 0]), max(high0, features[i, 0])
+        low1, high1 = min(low1, features[i, 1]), max(high1, features[i, 1])
+    side = CELL
+    while (np.floor((high0 - low0) / side) + 2.0) * (np.floor((high1 - low1) / side) + 3.0) > (
+        MOST_CELLS_PER_POINT * points + 6
+    ):
+        side *= 2.0
+    length = int((high1 - low1) / side) + 3
+    begin = np.zeros((int((high0 - low0) / side) + 2) * length + 2, np.int64)
+    of_point = np.empty(points, np.int64)
+    for i in range(points):
+        of_point[i] = int((features[i, 0] - low0) / side) * length + int((features[i, 1] - low1) / side) + 1
+        begin[of_point[i] + 2] += 1
+    for c in range(2, len(begin)):
+        begin[c] += begin[c - 1]
+    for i in range(points):
+        at = begin[of_point[i] + 1]
+        begin[of_point[i] + 1] += 1
+        order[at], cell[at] = i, of_point[i]
+    return begin, length
+
+
+@part
+def close_pairs(u: F64, cell: I64, begin: I64, length: int) -> tuple[I64, I64]:
+    """Return (K,) and (K,) all pairs of points within distance 1, from the sorted features u (N, 4)."""
+    first, second = np.empty(8 * len(u), np.int64), np.empty(8 * len(u), np.int64)
+    found = 0
+    for a in range(len(u)):
+        for row in range(2):  # the rest of the own cell and the next one; three cells of the next row
+            start, end = a + 1, begin[cell[a] + 2]
+            if row == 1:
+                start, end = begin[cell[a] + length - 1], begin[cell[a] + length + 2]
+            room = found + end - start
+            if room > len(first):
+                more_first, more_second = np.empty(2 * room, np.int64), np.empty(2 * room, np.int64)
+                for p in range(found):
+                    more_first[p], more_second[p] = first[p], second[p]
+                first, second = more_first, more_second
+            for b in range(start, end):
+                d0, d1, d2, d3 = u[a, 0] - u[b, 0], u[a, 1] - u[b, 1], u[a, 2] - u[b, 2], u[a, 3] - u[b, 3]
+                first[found], second[found] = a, b
+                found += d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 <= 1.0
+    return first[:found], second[:found]
+
+
+@part
+def nearer(u: F64, point: int, core: int, other: int) -> bool:
+    """Return whether `core` is nearer to the point than `other`; of two as near, that of lesser features."""
+    to_core = to_other = 0.0
+    for f in range(4):
+        to_core += (u[core, f] - u[point, f]) ** 2
+        to_other += (u[other, f] - u[point, f]) ** 2
+    if to_core != to_other:
+        return to_core < to_other
+    for f in range(4):
+        if u[core, f] != u[other, f]:
+            return bool(u[core, f] < u[other, f])
+    return False
+
+
+@kernel
+def density_clusters(features: F64, weights: F64, min_weight: float, labels: I64) -> int:
+    """Fill labels (N,) for features (N, 4), NOISE or numbered by first point; return the number of clusters.
+
+    A point is core when the weights within distance 1, its own included, reach min_weight; core points within
+    distance 1 share a cluster; others within distance 1 of a core point join the nearest one's.
+    Source: Ester, Kriegel, Sander, Xu 1996, KDD-96.
+    """
+    points = len(features)
+    if points == 0:
+        return 0
+    order, cell = np.empty(points, np.int64), np.empty(points, np.int64)
+    begin, length = sort_by_cell(features, order, cell)
+    u, weight, near, root = (
+        np.empty((points, 4)),
+        np.empty(points),
+        np.empty(points),
+        np.empty(points, np.int64),
+    )
+    for a in range(points):
+        weight[a] = near[a] = weights[order[a]]
+        root[a] = a
+        for f in range(4):
+            u[a, f] = features[order[a], f]
+    first, second = close_pairs(u, cell, begin, length)
+    for p in range(len(first)):
+        near[first[p]] += weight[second[p]]
+        near[second[p]] += weight[first[p]]
+    enough = min_weight * (1.0 - ROUNDING)
+    nearest = np.full(points, -1, np.int64)  # core point of a border point
+    for p in range(len(first)):
+        a, b = first[p], second[p]
+        if near[a] >= enough and near[b] >= enough:
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            root[max(a, b)] = min(a, b)
+        elif near[a] >= enough:
+            if nearest[b] < 0 or nearer(u, b, a, nearest[b]):
+                nearest[b] = a
+        elif near[b] >= enough and (nearest[a] < 0 or nearer(u, a, b, nearest[a])):
+            nearest[a] = b
+    for a in range(points):
+        core = a if near[a] >= enough else nearest[a]
+        while core >= 0 and root[core] != core:
+            core = root[core]
+        labels[order[a]] = core
+    return renumber(labels)
+
+
+@kernel
+def split_clusters(
+    labels: I64,
+    order: I64,
+    across: F64,
+    spread2: F64,
+    limits: tuple[float, float, float, float, float],
+    fewest: int,
+    rounds: int,
+) -> int:
+    """Split clusters of points side by side in place; return the number of clusters.
+
+    labels: (N,) changed in place.  order: (N,) the points by label, then across.  across: (N,) metres.
+    spread2: (N,) variance across of one vehicle's points there.  limits: skip ratio, skip margin, separation,
+    gain and gain per point.  fewest: points that are tested.  rounds: most cuts one after another.
+    """
+    skip_ratio, skip_margin, separation, gain, gain_per_point = limits
+    points = len(labels)
+    ends = np.zeros(points, np.bool_)  # the last point of a piece
+    for n in range(points):
+        ends[n] = n == points - 1 or labels[order[n]] != labels[order[n + 1]]
+    for _ in range(rounds):
+        start, cuts = 0, 0
+        for last in range(points):
+            if not ends[last]:
+                continue
+            begin, start = start, last + 1
+            count = start - begin
+            if count < fewest or labels[order[begin]] == NOISE:
+                continue
+            middle = noise2 = square = 0.0
+            for n in range(begin, start):
+                middle += across[order[n]] / count
+                noise2 += spread2[order[n]] / count
+            for n in range(begin, start):
+                square += (across[order[n]] - middle) ** 2
+            if square / count < skip_ratio * noise2 + skip_margin:
+                continue
+            left, best, cut, apart = 0.0, 0.0, -1, 0.0
+            for n in range(begin, last):
+                left += across[order[n]] - middle
+                share = (n + 1.0 - begin) / count
+                between = left * left / (count * share * (1.0 - share))
+                if between > best and across[order[n]] < across[order[n + 1]]:
+                    best, cut = between, n
+                    apart = -left / (count * share * (1.0 - share))
+            if cut >= 0 and apart > separation and best > noise2 * (gain + gain_per_point * count):
+                ends[cut] = True
+                cuts += 1
+        if cuts == 0:
+            break
+    piece = points  # above every label, for the new ones
+    for n in range(points):
+        if labels[order[n]] != NOISE:
+            labels[order[n]] = piece
+        piece += ends[n]
+    return renumber(labels)
