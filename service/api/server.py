@@ -31,8 +31,8 @@ GRACE_S = 10  # for requests under way when the service is told to stop; streams
 BACKLOG = 512
 
 # How long the tracker thread may keep the interpreter from the event loop. Python's 5 ms add up over the
-# several times that a request lets go of it: at ten sensors of 20 Hz the median from post to readable fell from
-# 161 to 76 ms on two cores that were busy otherwise.
+# several times that a request lets go of it: at ten sensors of 20 Hz the median from post to readable fell
+# from 161 to 76 ms on two cores that were busy otherwise.
 SWITCH_S = 0.001
 
 
