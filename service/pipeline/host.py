@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -35,9 +34,6 @@ _log = structlog.get_logger(__name__)
 
 _US_PER_S = 1_000_000
 _PAGE = 1000
-# How long the tracker thread may keep the interpreter from the event loop, and the other way round. With
-# Python's 5 ms the time to durable was 73 ms at p95, with this 37 ms (10 sensors of 20 Hz, a busy machine).
-SWITCH_INTERVAL_S = 0.0005
 
 
 class Outcome(StrEnum):
@@ -130,7 +126,6 @@ class EmbeddedHost:
 
         Raises StorageError when another process uses the data directory.
         """
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
         limits = LogLimits(
             total_bytes=self._settings.log_limit_bytes,
             segment_bytes=self._settings.log_segment_bytes,
