@@ -2,8 +2,8 @@
 
 Layout, little endian: magic, version, length and digest of a JSON header, the header (sensor, epoch,
 configuration, counters, lengths of the parts), then order, open blocks and tracker as
-`service.tracking.snapshot` writes them. The tracker's parameters are derived from the configuration
-again, so that a new parameter does not make old snapshots unreadable.
+`service.tracking.snapshot` writes them, compressed. The tracker's parameters are derived from the
+configuration again, so that a new parameter does not make old snapshots unreadable.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+import zlib
 from typing import Any, cast
 
 from pydantic import ValidationError
@@ -25,6 +26,8 @@ from service.tracking import snapshot
 VERSION = 1
 _MAGIC = b"WSFS"
 _HEADER = struct.Struct("<4sHI16s")
+# On a recorded scene 701 kB become 65 kB in 2.5 ms (the maps are mostly empty); more gains little.
+_LEVEL = 1
 _FIELDS = (
     "sensor_id",
     "epoch",
@@ -41,7 +44,8 @@ _FIELDS = (
 
 def dump(state: FoldState[S]) -> bytes:
     """Return the state as bytes; the same state gives the same bytes."""
-    parts = [snapshot.dump(part) for part in (state.order, state.collected, state.tracker)]
+    values = (state.order, state.collected, state.tracker)
+    parts = [zlib.compress(snapshot.dump(part), _LEVEL) for part in values]
     header = {name: getattr(state, name) for name in _FIELDS} | {"parts": [len(part) for part in parts]}
     text = json.dumps(header, sort_keys=True, separators=(",", ":")).encode()
     return b"".join((_HEADER.pack(_MAGIC, VERSION, len(text), _digest(text)), text, *parts))
@@ -62,6 +66,13 @@ def load(data: bytes, tracker: Tracker[S]) -> FoldState[S]:
         )
     except (KeyError, TypeError, ValidationError, InvalidInput) as error:
         raise SnapshotUnreadable(f"the snapshot's header does not fit: {error}") from error
+
+
+def _inflate(part: bytes) -> bytes:
+    try:
+        return zlib.decompress(part)
+    except zlib.error as error:
+        raise SnapshotUnreadable(f"the snapshot is damaged: {error}") from error
 
 
 def _digest(text: bytes) -> bytes:
@@ -87,6 +98,6 @@ def _split(data: bytes) -> tuple[dict[str, Any], list[bytes]]:
         raise SnapshotUnreadable("the snapshot is truncated")
     parts = []
     for size in sizes:
-        parts.append(data[at : at + size])
+        parts.append(_inflate(data[at : at + size]))
         at += size
     return header, parts
