@@ -22,13 +22,14 @@ MAY_IMPORT = {
     "simulation": {"formats", "traffic", "tracking"},
     "evaluation": {"formats", "traffic", "tracking"},
     "storage": {"formats", "traffic", "tracking"},
+    "warmup": {"tracking"},
     "settings": set[str](),
     "telemetry": {"settings"},
-    "pipeline": {"storage", "formats", "traffic", "tracking", "settings", "telemetry"},
+    "pipeline": {"storage", "formats", "traffic", "tracking", "settings", "telemetry", "warmup"},
     "api": {"pipeline", "storage", "formats", "traffic", "tracking", "settings", "telemetry"},
     "cli": {
         "api", "pipeline", "storage", "formats", "traffic", "tracking", "settings", "telemetry", "simulation",
-        "evaluation",
+        "evaluation", "warmup",
     },
 }  # fmt: skip
 FOR_EVERYBODY = {"errors", "__version__"}

@@ -50,7 +50,7 @@ def marginals(log_weight: F64, log_miss: F64, *, temper: float = 1.0, max_width:
         raise InvalidInput.at("/max_width", f"want 0 to {WIDEST}, got {max_width}")
     tracks, measurements = log_weight.shape
     beta, miss, component = np.empty_like(log_weight), np.empty(tracks), np.empty(tracks, np.int64)
-    price = np.zeros(measurements)
+    price, temper, max_width = np.zeros(measurements), float(temper), int(max_width)
     solved = solve(log_weight, log_miss, price, SAFE_RANGE, temper, max_width, beta, miss, component)
     if solved[0] == UNBALANCED:
         price = _balancing_prices(log_weight, log_miss)
@@ -110,4 +110,5 @@ def _checked(log_weight: F64, log_miss: F64) -> tuple[F64, F64]:
         raise InvalidInput.at(
             "/log_weight", f"want (T, M) with log_miss (T,), got {log_weight.shape} and {log_miss.shape}"
         )
-    return np.ascontiguousarray(log_weight, np.float64), np.ascontiguousarray(log_miss, np.float64)
+    # Copies: a kernel compiles anew for read-only and for strided arrays.
+    return np.array(log_weight, np.float64, order="C"), np.array(log_miss, np.float64, order="C")

@@ -112,13 +112,14 @@ def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "num
     nearest core point's cluster (with the engine "scikit-learn" any that it touches), so that the order of
     the points changes the numbers only.
     """
-    features, weights = np.ascontiguousarray(features, np.float64), np.ascontiguousarray(weights, np.float64)
+    # Copies: a kernel compiles anew for read-only and for strided arrays.
+    features, weights = np.array(features, np.float64, order="C"), np.array(weights, np.float64, order="C")
     if features.shape != (len(weights), 4) or not np.isfinite(features).all():
         raise InvalidInput.at("/features", f"want (N, 4) finite numbers for {len(weights)} weights")
     if engine == "scikit-learn":
         return _dbscan_of_scikit_learn(features, weights, min_weight)
     labels = np.empty(len(features), np.int64)
-    density_clusters(features, weights, min_weight, labels)
+    density_clusters(features, weights, float(min_weight), labels)
     return labels
 
 
@@ -149,21 +150,18 @@ def split_lateral(
     by chance. across_m, range_m, azimuth_std_rad: (N,).  Noise stays noise, and clusters are never joined.
     """
     p = parameters
-    labels = labels.copy()
+    labels = np.array(labels, np.int64, order="C")
+    limits = [
+        p.split_skip_ratio, p.split_skip_margin_m2, p.split_separation_m, p.split_gain, p.split_gain_per_point
+    ]  # fmt: skip
     width_variance_m2 = p.split_width_m**2 / 12  # of points spread evenly over the width
     split_clusters(
         labels,
         np.lexsort((across_m, labels)),
-        np.ascontiguousarray(across_m, np.float64),
-        (range_m * azimuth_std_rad) ** 2 + width_variance_m2,
-        (
-            p.split_skip_ratio,
-            p.split_skip_margin_m2,
-            p.split_separation_m,
-            p.split_gain,
-            p.split_gain_per_point,
-        ),
-        p.split_min_points,
-        p.split_rounds,
+        np.array(across_m, np.float64, order="C"),
+        np.array((range_m * azimuth_std_rad) ** 2 + width_variance_m2, np.float64, order="C"),
+        np.array(limits, np.float64),
+        int(p.split_min_points),
+        int(p.split_rounds),
     )
     return labels

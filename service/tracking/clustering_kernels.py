@@ -160,7 +160,7 @@ def split_clusters(
     order: I64,
     across: F64,
     spread2: F64,
-    limits: tuple[float, float, float, float, float],
+    limits: F64,
     fewest: int,
     rounds: int,
 ) -> int:
@@ -170,7 +170,8 @@ def split_clusters(
     spread2: (N,) variance across of one vehicle's points there.  limits: skip ratio, skip margin, separation,
     gain and gain per point.  fewest: points that are tested.  rounds: most cuts one after another.
     """
-    skip_ratio, skip_margin, separation, gain, gain_per_point = limits
+    skip_ratio, skip_margin, separation = limits[0], limits[1], limits[2]
+    gain, gain_per_point = limits[3], limits[4]
     points = len(labels)
     ends = np.zeros(points, np.bool_)  # the last point of a piece
     for n in range(points):

@@ -1,0 +1,58 @@
+"""Compile the tracker's kernels into the cache, or load them from it, before the first frame needs them."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from service.tracking.association import marginals
+from service.tracking.clustering import dbscan, split_lateral
+from service.tracking.clustering_parameters import ClusteringParameters
+
+
+def _association() -> None:
+    marginals(np.zeros((2, 2)), np.zeros(2))
+
+
+def _density_clusters() -> None:
+    dbscan(np.zeros((2, 4)), np.ones(2), 2.0)
+
+
+def _lateral_split() -> None:
+    split_lateral(np.zeros(2, np.int64), np.zeros(2), np.ones(2), np.ones(2), ClusteringParameters())
+
+
+# Name and a call with the smallest input that makes the kernel compile for the types of live use.
+KERNELS: tuple[tuple[str, Callable[[], None]], ...] = (
+    ("association", _association),
+    ("density clusters", _density_clusters),
+    ("lateral split", _lateral_split),
+)
+
+
+def warm_up(report: Callable[[str, float], None]) -> None:
+    """Make every kernel ready, and report the name and the seconds of each as it is done."""
+    for name, call in KERNELS:
+        start = time.perf_counter()
+        call()
+        report(name, time.perf_counter() - start)
+
+
+def main() -> None:
+    """Make every kernel ready, with a line of progress for each."""
+    done = 0
+
+    def print_line(name: str, seconds: float) -> None:
+        nonlocal done
+        done += 1
+        sys.stdout.write(f"kernel {done}/{len(KERNELS)}: {name}, {seconds:.1f} s\n")
+        sys.stdout.flush()
+
+    warm_up(print_line)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Live use must find its kernels compiled, whatever kind of array it brings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service import warmup
+from service.tracking.association import marginals
+from service.tracking.association_kernels import solve
+from service.tracking.clustering import cluster_window
+from service.tracking.clustering_kernels import density_clusters, split_clusters
+from service.tracking.clustering_parameters import ClusteringParameters
+
+
+@pytest.fixture
+def warm() -> list[str]:
+    names: list[str] = []
+    warmup.warm_up(lambda name, _: names.append(name))
+    return names
+
+
+def read_only(*shape):
+    array = np.zeros(shape, np.float32, order="F")
+    array.setflags(write=False)
+    return array
+
+
+def test_every_kernel_is_reported_once(warm):
+    assert warm == [name for name, _ in warmup.KERNELS]
+
+
+def test_no_input_makes_a_kernel_compile_again(warm):
+    kernels = (solve, density_clusters, split_clusters)
+    compiled = [len(kernel.signatures) for kernel in kernels]
+
+    marginals(read_only(4, 3), read_only(4), temper=2, max_width=np.int32(14))
+    marginals(np.zeros((8, 6))[::2, ::2], np.zeros(8)[::2])
+    for count in (0, 5):
+        point = read_only(count)
+        parameters = ClusteringParameters(min_points=4, split_gain=14, split_min_points=2)
+        cluster_window(
+            x_m=point,
+            y_m=point,
+            radial_velocity_mps=point,
+            age_s=point,
+            azimuth_std_rad=point,
+            weights=point + 1,
+            road_direction=read_only(2),
+            parameters=parameters,
+        )
+
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
+
+
+def test_main_prints_a_line_for_each_kernel(capsys):
+    warmup.main()
+
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(warmup.KERNELS)
+    assert lines[0].startswith(f"kernel 1/{len(warmup.KERNELS)}: association, ")
