@@ -30,7 +30,7 @@ class ExistenceParameters:
     detect_floor_far: float = 0.3  # ... and at 150 m
     detect_near_m: float = 90.0
     detect_far_m: float = 150.0
-    detect_max: float = 0.9
+    detect_max: float = 0.8
     detect_memory_frames: float = 20.0
     shadowed_miss: float = 0.25  # share of a miss's evidence when a nearer vehicle shadows the track
     standing_miss: float = 0.4

@@ -34,6 +34,7 @@ class ExtentParameters:
     turn_gain: float = 0.15
     turn_gain_per_mps: float = 0.02
     turn_above_mps: float = 1.0
+    turn_certainty: float = 2.5  # the box turns once its speed is so many standard deviations
     trust_heading_hits: int = 25  # hits that settle a heading
     sideways_std_mps: float = 0.4  # how far a vehicle may move sideways to its settled heading ...
     sideways_young_mps: float = 1.0  # ... to one that is still a guess ...
@@ -96,17 +97,18 @@ def turn(tracks: Tracks, p: ExtentParameters) -> Tracks:
     error = np.arctan2(tracks.mean[:, 1], tracks.mean[:, 4]) - tracks.heading_rad
     error = (error + np.pi) % (2.0 * np.pi) - np.pi
     gain = np.minimum(p.turn_gain + p.turn_gain_per_mps * speed, 0.6)
-    moving = (speed > p.turn_above_mps) & (speed > 1.5 * std)
-    heading = tracks.heading_rad + np.where(moving, gain * error, 0.0)
+    moving = (speed > p.turn_above_mps) & (speed > p.turn_certainty * std)
+    # a first guess that was the wrong way round is turned over at once: the box is the same either way
+    over = moving & (np.abs(error) > 0.5 * np.pi)
+    before = tracks.heading_rad + np.where(over, np.pi, 0.0)
+    error = np.where(over, error - np.sign(error) * np.pi, error)
+    heading = before + np.where(moving, gain * error, 0.0)
     heading = (heading + np.pi) % (2.0 * np.pi) - np.pi
     bearing = np.arctan2(tracks.x_m, tracks.y_m)
-    arm = 0.5 * tracks.length_m * np.where(np.cos(tracks.heading_rad - bearing) > 0.0, -1.0, 1.0)
-    arm = np.where(
-        np.abs(error) < 0.5 * np.pi, arm, 0.0
-    )  # a reversed guess of the heading turns about the centre
+    arm = 0.5 * tracks.length_m * np.where(np.cos(heading - bearing) > 0.0, -1.0, 1.0)
     mean = tracks.mean.copy()
-    mean[:, 0] += arm * (np.sin(tracks.heading_rad) - np.sin(heading))
-    mean[:, 3] += arm * (np.cos(tracks.heading_rad) - np.cos(heading))
+    mean[:, 0] += arm * (np.sin(before) - np.sin(heading))
+    mean[:, 3] += arm * (np.cos(before) - np.cos(heading))
     return replace(tracks, mean=mean, heading_rad=heading)
 
 
@@ -121,9 +123,9 @@ def along_only(tracks: Tracks, p: ExtentParameters) -> Tracks:
     h = np.zeros((len(tracks), 6))
     h[:, 1], h[:, 4] = np.cos(tracks.heading_rad), -np.sin(tracks.heading_rad)
     sideways = np.einsum("ti,ti->t", h, tracks.mean)
-    r = (
-        np.where(settled, p.sideways_std_mps, p.sideways_young_mps) + p.sideways_share * tracks.speed_mps
-    ) ** 2
+    # without Doppler a young track's velocity may point anywhere: its heading must not bind it
+    guess = np.maximum(p.sideways_young_mps, np.sqrt(0.125 * (tracks.cov[:, 1, 1] + tracks.cov[:, 4, 4])))
+    r = (np.where(settled, p.sideways_std_mps, guess) + p.sideways_share * tracks.speed_mps) ** 2
     ph = np.einsum("tij,tj->ti", tracks.cov, h)
     s = np.einsum("ti,ti->t", h, ph) + r
     k = ph / s[:, None]

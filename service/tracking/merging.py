@@ -17,7 +17,7 @@ class MergingParameters:
     same_centre_m: float = 2.0
     same_speed_mps: float = 2.5
     inside_across_m: float = 1.0
-    lane_across_m: float = 1.0
+    lane_across_m: float = 1.6
     piece_speed_mps: float = 4.0  # pieces are joined only in motion: in a queue the next vehicle is as near
     piece_dv_mps: float = 0.6
     piece_gap_s: float = 0.25
@@ -35,9 +35,10 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     dy = tracks.y_m[None, :] - tracks.y_m[:, None]
     sine, cosine = np.sin(tracks.heading_rad)[:, None], np.cos(tracks.heading_rad)[:, None]
     along, across = np.abs(sine * dx + cosine * dy), np.abs(cosine * dx - sine * dy)
-    dv = np.hypot(
-        tracks.mean[None, :, 1] - tracks.mean[:, None, 1], tracks.mean[None, :, 4] - tracks.mean[:, None, 4]
-    )
+    # along the line of sight, where Doppler makes the speed certain
+    bearing = np.arctan2(tracks.x_m, tracks.y_m)
+    rate = tracks.mean[:, 1] * np.sin(bearing) + tracks.mean[:, 4] * np.cos(bearing)
+    dv = np.abs(rate[:, None] - rate)
     half = 0.5 * tracks.length_m
     bigger = tracks.length_m[:, None] >= tracks.length_m[None, :]
     close = (np.hypot(dx, dy) < p.same_centre_m) & (across < p.same_centre_m * 0.75) & (dv < p.same_speed_mps)
