@@ -36,7 +36,7 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
     return TrackerState(
         tracks=no_tracks(0), window=empty_window(), standing_window=empty_window(), frame_times_us=(),
         clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="", next_number=1, frames=0, time_us=0,
-        range_seen_min_m=1e9, echo_reference_db=0.0,
+        range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0,
     )  # fmt: skip
 
 

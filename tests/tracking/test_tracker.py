@@ -96,7 +96,7 @@ def test_a_truck_is_one_track_and_long(rng):
 
     _, outputs = run(frames)
 
-    assert all(len(e) <= 1 for e in outputs[20:])
+    assert all(len(e) <= 1 for e in outputs[30:])
     assert outputs[-1].length_m[0] == pytest.approx(14.0, abs=1.5)
 
 
