@@ -81,12 +81,17 @@ AdminKey = Annotated[Caller, Depends(_needs("admin"))]
 SensorPath = Annotated[str, Path(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="id of the sensor")]
 
 
-async def _needs_ingest(sensor_id: SensorPath, caller: CallerDep) -> Caller:
-    caller.require("ingest", sensor_id)
-    return caller
+async def admit(request: Request, scope: Scope, sensor_id: str | None = None) -> Services:
+    """Return the services if the caller has the scope, for this sensor where one is given.
 
+    The frame and live routes call this themselves: resolving the same by four nested dependencies took a
+    quarter of a request's time (0.88 ms; now 0.64).
+    """
+    services = services_of(request)
+    caller = await identify(request, services)
+    caller.require(scope, sensor_id)
+    return services
 
-IngestKey = Annotated[Caller, Depends(_needs_ingest)]
 
 TimeText = Annotated[
     str | None, Query(description="RFC 3339 time with any offset", examples=["2025-05-12T06:00:00.000Z"])

@@ -10,7 +10,7 @@ from anyio import to_thread
 from fastapi import APIRouter, Request, Response, status
 
 from service.api.bodies import is_ndjson, read_body
-from service.api.dependencies import PREFIX, IngestKey, SensorPath, ServicesDep
+from service.api.dependencies import PREFIX, SensorPath, admit
 from service.api.problems import HttpProblem
 from service.api.track_schemas import BatchReply, FrameReply
 from service.errors import Conflict, FieldError, InvalidFrame
@@ -46,10 +46,9 @@ class _Parsed:
         409: {"description": "the same key with another content"},
     },
 )
-async def post_frame(
-    sensor_id: SensorPath, request: Request, services: ServicesDep, _: IngestKey
-) -> Response:
+async def post_frame(sensor_id: SensorPath, request: Request) -> Response:
     """Take one frame; 202 means that it is durable."""
+    services = await admit(request, "ingest", sensor_id)
     config = services.host.config(sensor_id)
     if is_ndjson(request):
         raise HttpProblem("unsupported-media-type", "NDJSON is for frames:batch; want application/json")
@@ -75,10 +74,9 @@ async def post_frame(
     status_code=status.HTTP_202_ACCEPTED,
     response_model=BatchReply,
 )
-async def post_frames(
-    sensor_id: SensorPath, request: Request, services: ServicesDep, _: IngestKey
-) -> Response:
+async def post_frames(sensor_id: SensorPath, request: Request) -> Response:
     """Take many frames; each is accepted or refused by itself, and the reply says which."""
+    services = await admit(request, "ingest", sensor_id)
     config = services.host.config(sensor_id)
     ndjson = is_ndjson(request)
     body = await read_body(request, services.settings.body_limit_bytes)

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Header, Query, Request, Response, status
 from fastapi.responses import StreamingResponse
 
 from service.api import live_view
-from service.api.dependencies import PREFIX, ReadKey, SensorPath, Services, ServicesDep
+from service.api.dependencies import PREFIX, SensorPath, Services, admit
 from service.api.track_schemas import LiveView
 from service.errors import NotFound
 from service.formats.sensor import SensorConfig
@@ -28,11 +28,9 @@ PointsFlag = Annotated[bool, Query(description="add the raw points of the newest
 
 
 @router.get("/sensors/{sensor_id}/live", tags=["live"], response_model=LiveView)
-async def read_live(  # noqa: PLR0913, PLR0917 - one parameter of the query each
+async def read_live(
     sensor_id: SensorPath,
     request: Request,
-    services: ServicesDep,
-    _: ReadKey,
     after: Annotated[
         int | None, Query(ge=0, le=VERSION_MAX, description="wait until the version is another than this")
     ] = None,
@@ -40,6 +38,7 @@ async def read_live(  # noqa: PLR0913, PLR0917 - one parameter of the query each
     points: PointsFlag = False,  # noqa: FBT002 - a parameter of the query
 ) -> Response:
     """The newest tracks, with an ETag; `after` and `wait` make it a long poll."""
+    services = await admit(request, "read")
     entry = _newest(services, sensor_id)
     if after is not None and wait > 0:
         entry = await _news(services, sensor_id, after, wait) or entry
@@ -55,12 +54,12 @@ async def read_live(  # noqa: PLR0913, PLR0917 - one parameter of the query each
 @router.get("/sensors/{sensor_id}/live/stream", tags=["live"], response_class=StreamingResponse)
 async def stream_live(
     sensor_id: SensorPath,
-    services: ServicesDep,
-    _: ReadKey,
+    request: Request,
     last_event_id: Annotated[str | None, Header(max_length=64)] = None,
     points: PointsFlag = False,  # noqa: FBT002 - a parameter of the query
 ) -> Response:
     """The same as server-sent events, at most ten a second: a slow reader misses views, never the newest."""
+    services = await admit(request, "read")
     _newest(services, sensor_id)
     seen = int(last_event_id) if last_event_id is not None and last_event_id.isdecimal() else -1
     return StreamingResponse(

@@ -7,7 +7,7 @@ import signal
 import socket
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, nullcontext
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager, nullcontext, suppress
 from types import FrameType
 from typing import Any
 
@@ -62,7 +62,7 @@ def run(
             failures = _watch(app, host, beside)
             server = Server(app, settings, on_ready)
             sys.setswitchinterval(SWITCH_S)
-            with _calm_signals():
+            with _calm_signals(), suppress(SystemExit):  # uvicorn's word for a start that failed
                 server.run(sockets=[listener])
             if failures:
                 raise failures[0]
