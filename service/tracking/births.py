@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.kernel import kernel
@@ -177,10 +175,30 @@ def standing_births(
     return rows
 
 
+@kernel
 def _groups(x: F64, y: F64, reach_m: float) -> I64:
     """Return the group of each place: those that chain with steps under `reach_m` are one."""
-    near = np.hypot(x[:, None] - x, y[:, None] - y) < reach_m
-    return np.asarray(connected_components(csr_array(near), directed=False)[1], dtype=np.int64)
+    n = len(x)
+    group = np.full(n, -1, dtype=np.int64)
+    todo = np.empty(n, dtype=np.int64)
+    for seed in range(n):
+        if group[seed] >= 0:
+            continue
+        group[seed] = seed
+        todo[0], open_ = seed, 1
+        while open_ > 0:
+            open_ -= 1
+            k = todo[open_]
+            for m in range(n):
+                if (
+                    group[m] < 0
+                    and abs(x[m] - x[k]) < reach_m
+                    and math.hypot(x[m] - x[k], y[m] - y[k]) < reach_m
+                ):
+                    group[m] = seed
+                    todo[open_] = m
+                    open_ += 1
+    return group
 
 
 def _standing_box(

@@ -23,6 +23,7 @@ class RoadMapParameters:
     reach_y_m: float = 180.0
     learn_hits: int = 40  # a track teaches the map only after so many hits
     learn_speed_mps: float = 3.0
+    learn_interval_frames: int = 3  # at 25 m/s a vehicle needs three frames for a cell
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
     mature_tracks: float = 12.0  # tracks learned before absence from the map means anything
 

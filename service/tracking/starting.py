@@ -1,0 +1,117 @@
+"""Find the births of a frame and turn them into tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.tracking import births as birth
+from service.tracking import clutter as clutter_map
+from service.tracking import road_map
+from service.tracking.boxes import PV, PX, PY
+from service.tracking.filters.base import Filter
+from service.tracking.model import F64, I64, Bool, TrackStatus
+from service.tracking.parameters import TrackerParameters
+from service.tracking.state import EXTENT_MEMORY, TrackerState, Tracks
+
+
+def find_births(
+    state: TrackerState,
+    label: I64,
+    free: Bool,
+    points: F64,
+    time_us: int,
+    p: TrackerParameters,
+) -> birth.Births:
+    """Return the new tracks of a frame: from free clusters, and now and then from standing points."""
+    window, b = state.window, p.birth
+    new = len(window.time_us) - len(points)
+    rows: list[F64] = []
+    found = birth.birth_clusters(label, free, window.time_us, time_us, b.min_points, b.min_frames)
+    for c in found:  # a handful at most: clusters that no track claims
+        member = free & (label == c)
+        mine = member[new:]
+        doppler = np.abs(window.points[member, PV])
+        if np.isfinite(doppler).any() and np.nanmedian(doppler) < p.clutter.standing_mps:
+            continue
+        centre = points[mine].mean(axis=0)
+        n, heading, agreement = road_map.driven_at(state.road, centre[[PX]], centre[[PY]], p.road)
+        known = n[0] >= p.road.driven_tracks and agreement[0] > 0.8
+        row = birth.moving_birth(points[mine], float(heading[0]) if known else None, b)
+        if row is not None:
+            rows.append(row)
+    if state.frames % b.standing_interval_frames == 0 and len(state.frame_times_us) >= b.standing_min_frames:
+        rows += _standing(state, p)
+    kept = birth.gather(rows)
+    if len(kept) and len(state.tracks):
+        kept = _outside(kept, rows, state.tracks, p)
+    return kept
+
+
+def _outside(born: birth.Births, rows: list[F64], tracks: Tracks, p: TrackerParameters) -> birth.Births:
+    """Return the births that do not stand inside a box, or within the keep-out distance of one."""
+    u, w = _box_frame(born.x_m, born.y_m, tracks)
+    margin = p.birth.keep_out_m
+    inside = (np.abs(u) < 0.5 * tracks.length_m + margin) & (np.abs(w) < 0.5 * tracks.width_m + 0.3)
+    near = np.hypot(u, w) < 2.0
+    ok = ~(inside | near).any(axis=1)
+    return birth.gather([r for r, k in zip(rows, ok, strict=True) if k])
+
+
+def _box_frame(x_m: F64, y_m: F64, tracks: Tracks) -> tuple[F64, F64]:
+    """Return (N, T): places along and across each track's box."""
+    dx, dy = x_m[:, None] - tracks.x_m, y_m[:, None] - tracks.y_m
+    s, c = np.sin(tracks.heading_rad), np.cos(tracks.heading_rad)
+    return s * dx + c * dy, c * dx - s * dy
+
+
+def _standing(state: TrackerState, p: TrackerParameters) -> list[F64]:
+    w = state.standing_window
+    q = w.points
+    if len(state.tracks):
+        u, v = _box_frame(q[:, PX], q[:, PY], state.tracks)
+        t = state.tracks
+        clear = ~((np.abs(u) < 0.5 * t.length_m + 0.7) & (np.abs(v) < 0.5 * t.width_m + 0.7)).any(axis=1)
+        q = q[clear]
+    q = q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
+    n, heading, agreement = road_map.driven_at(state.road, q[:, PX], q[:, PY], p.road)
+    driven = (n >= p.road.driven_tracks) & (agreement > 0.8)
+    return birth.standing_births(q, max(len(state.frame_times_us), 1), driven, heading, p.birth)
+
+
+def start(
+    state: TrackerState, bank: Filter, born: birth.Births, time_us: int, p: TrackerParameters
+) -> Tracks:
+    """Return the tracks with the new ones behind them."""
+    if not len(born):
+        return state.tracks
+    n = len(born)
+    mean = np.zeros((n, 6))
+    mean[:, 0], mean[:, 3], mean[:, 1], mean[:, 4] = born.x_m, born.y_m, born.vx_mps, born.vy_mps
+    g = np.maximum(np.hypot(born.x_m, born.y_m), 1e-6)
+    lx, ly = born.x_m / g, born.y_m / g
+    cov = np.zeros((n, 6, 6))
+    for i, (r, t) in enumerate(
+        ((born.std_radial_m, born.std_tangential_m), (born.std_radial_mps, born.std_tangential_mps))
+    ):
+        a, b = i, 3 + i
+        cov[:, a, a] = lx**2 * r**2 + ly**2 * t**2
+        cov[:, b, b] = ly**2 * r**2 + lx**2 * t**2
+        cov[:, a, b] = cov[:, b, a] = lx * ly * (r**2 - t**2)
+    cov[:, 2, 2] = cov[:, 5, 5] = p.boxes.birth_accel_std_mps2**2
+    fresh = bank.start(mean, cov)
+    e = p.existence
+    sure = born.standing
+    rings = np.full((n, EXTENT_MEMORY), np.nan)
+    rings[:, 0] = np.where(born.points >= 2, born.extent_m, np.nan)
+    new = Tracks(
+        number=state.next_number + np.arange(n), mean=fresh.mean, cov=fresh.cov, memory=fresh.memory,
+        heading_rad=born.heading_rad, length_m=born.length_m,
+        width_m=np.where(born.length_m > p.extent.wide_from_m, p.extent.wide_m, p.birth.width_m),
+        log_odds=np.where(sure, e.confirm_log_odds + 1.0, e.birth_log_odds),
+        status=np.where(sure, TrackStatus.CONFIRMED, TrackStatus.TENTATIVE).astype(np.uint8),
+        hits=np.ones(n, dtype=np.int64), empty=np.zeros(n, dtype=np.int64), born_us=np.full(n, time_us),
+        hit_us=np.full(n, time_us), born_x_m=born.x_m, born_y_m=born.y_m, standing=born.standing,
+        detect_rate=np.full(n, 0.7), points_per_hit=born.points.astype(np.float64),
+        echo_db=np.full(n, state.echo_reference_db), extent_m=rings, map_cell=np.full(n, -1, dtype=np.int64),
+    )  # fmt: skip
+    return state.tracks.join(new)
