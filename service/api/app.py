@@ -76,8 +76,8 @@ def _allowed_hosts(settings: Settings, *, local: bool) -> frozenset[str] | None:
     """Return the names that the Host header may hold, None for any.
 
     On the loopback only its own names, so that a web page cannot reach the service through a name of its own
-    that it points at 127.0.0.1 (DNS rebinding). They stay accepted beside any others: a container's health check
-    asks at 127.0.0.1.
+    that it points at 127.0.0.1 (DNS rebinding). They stay accepted beside any others: a container's health
+    check asks at 127.0.0.1.
     """
     named = frozenset(name.lower() for name in settings.allowed_hosts)
     return LOOPBACK_NAMES | named if local or named else None
