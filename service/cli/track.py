@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from service.tracking.model import Frame
 
 FILES = ("tracks.jsonl", "track_summaries.jsonl", "summary.json")
-TIMES = ("first_time_us", "last_time_us")
 
 
 @one_sentence()
@@ -95,6 +93,7 @@ class _Counted:
 
 def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) -> dict[str, object]:
     """Write the lines of every frame as it is folded, then the tracks; return the counts."""
+    from service.api.track_schemas import track_fields
     from service.formats.tracks import frame_line
 
     tracks: dict[TrackKey, TrackSummary] = {}
@@ -113,7 +112,7 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
                 lines.write(line + b"\n")
     with (folder / "track_summaries.jsonl").open("wb") as lines:
         for key in sorted(tracks, key=lambda key: (key.epoch, key.number)):
-            lines.write(orjson.dumps(_record(tracks[key])) + b"\n")
+            lines.write(orjson.dumps(track_fields(tracks[key])) + b"\n")
     return {
         "tracks": len(tracks),
         "states": states,
@@ -124,11 +123,3 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
         "restarts": epoch - 1,
         "events": events,
     }
-
-
-def _record(row: TrackSummary) -> dict[str, object]:
-    """Return a track as one JSON object: its public id first, times as on every wire."""
-    fields = dataclasses.asdict(row)
-    del fields["key"], fields["as_of"]
-    times = {name.removesuffix("_us"): format_time(fields.pop(name)) for name in TIMES}
-    return {"track_id": str(row.key), **times, **fields}
