@@ -9,11 +9,36 @@ import numpy as np
 
 from service.tracking.association import marginals
 from service.tracking.boxes import (
-    BCOS, BGROW_FAR, BGROW_NEAR, BLEN, BOX_COLUMNS, BPRIOR, BSIN, BSPEED, BVAR_U, BVAR_V, BVAR_W, BVX, BVY, BWID,
-    BX, BY, M_COUNT, M_U, M_V, M_VAR_U, M_VAR_V, M_VAR_W, M_W, PV, claim_points, drop_neighbours, measure_boxes,
-    overlap_counts, point_costs,
+    BCOS,
+    BGROW_FAR,
+    BGROW_NEAR,
+    BLEN,
+    BOX_COLUMNS,
+    BPRIOR,
+    BSIN,
+    BSPEED,
+    BVAR_U,
+    BVAR_V,
+    BVAR_W,
+    BVX,
+    BVY,
+    BWID,
+    BX,
+    BY,
+    M_U,
+    M_V,
+    M_VAR_U,
+    M_VAR_V,
+    M_VAR_W,
+    M_W,
+    claim_points,
+    drop_neighbours,
+    measure_boxes,
+    overlap_counts,
+    point_costs,
 )  # fmt: skip
-from service.tracking.model import F64, I64
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, I64, Bool
 from service.tracking.parameters import TrackerParameters
 from service.tracking.state import Tracks
 
@@ -34,26 +59,36 @@ class Assignment:
 
 def box_array(tracks: Tracks, mean: F64, cov: F64, p: TrackerParameters) -> F64:
     """Return the predicted boxes (T, BOX_COLUMNS)."""
-    n = len(tracks)
+    return _box_array(
+        mean, cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.hits, tracks.confirmed,
+        p.boxes.growth_reach_m, p.boxes.young_hits, p.boxes.tentative_handicap,
+    )  # fmt: skip
+
+
+@kernel
+def _box_array(
+    mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool, growth_reach: float,
+    young_hits: int, handicap: float,
+) -> F64:  # fmt: skip
+    n = len(heading)
     out = np.zeros((n, BOX_COLUMNS))
-    sine, cosine = np.sin(tracks.heading_rad), np.cos(tracks.heading_rad)
-    out[:, BX], out[:, BY], out[:, BVX], out[:, BVY] = mean[:, 0], mean[:, 3], mean[:, 1], mean[:, 4]
-    out[:, BSIN], out[:, BCOS] = sine, cosine
-    out[:, BLEN], out[:, BWID] = tracks.length_m, tracks.width_m
-    xx, xy, yy = cov[:, 0, 0], cov[:, 0, 3], cov[:, 3, 3]
-    out[:, BVAR_U] = sine**2 * xx + 2 * sine * cosine * xy + cosine**2 * yy
-    out[:, BVAR_W] = cosine**2 * xx - 2 * sine * cosine * xy + sine**2 * yy
-    g = np.maximum(np.hypot(mean[:, 0], mean[:, 3]), 1e-6)
-    lx, ly = mean[:, 0] / g, mean[:, 3] / g
-    out[:, BVAR_V] = lx**2 * cov[:, 1, 1] + 2 * lx * ly * cov[:, 1, 4] + ly**2 * cov[:, 4, 4]
-    speed = np.hypot(mean[:, 1], mean[:, 4])
-    out[:, BSPEED] = speed
-    end_on = np.abs(lx * sine + ly * cosine) > 0.5
-    reach = np.where(end_on & (speed > 1.0), np.minimum(p.boxes.growth_reach_m, 0.5 * speed), 0.0)
-    out[:, BGROW_FAR] = reach
-    out[:, BGROW_NEAR] = reach * np.where(tracks.hits < p.boxes.young_hits, 0.5, 0.2)
-    out[:, BPRIOR] = 2.0 * np.log(np.maximum(tracks.length_m, 4.0) * tracks.width_m)
-    out[:, BPRIOR] += np.where(tracks.confirmed, 0.0, p.boxes.tentative_handicap)
+    for i in range(n):
+        s, c = math.sin(heading[i]), math.cos(heading[i])
+        x, y, vx, vy = mean[i, 0], mean[i, 3], mean[i, 1], mean[i, 4]
+        g = max(math.hypot(x, y), 1e-6)
+        lx, ly, speed = x / g, y / g, math.hypot(vx, vy)
+        out[i, BX], out[i, BY], out[i, BVX], out[i, BVY], out[i, BSIN], out[i, BCOS] = x, y, vx, vy, s, c
+        out[i, BLEN], out[i, BWID], out[i, BSPEED] = length[i], width[i], speed
+        xx, xy, yy = cov[i, 0, 0], cov[i, 0, 3], cov[i, 3, 3]
+        out[i, BVAR_U] = s * s * xx + 2 * s * c * xy + c * c * yy
+        out[i, BVAR_W] = c * c * xx - 2 * s * c * xy + s * s * yy
+        out[i, BVAR_V] = lx * lx * cov[i, 1, 1] + 2 * lx * ly * cov[i, 1, 4] + ly * ly * cov[i, 4, 4]
+        # only end-on and moving may a box reach beyond its ends, mostly the far one
+        if speed > 1.0 and abs(lx * s + ly * c) > 0.5:
+            reach = min(growth_reach, 0.5 * speed)
+            out[i, BGROW_FAR] = reach
+            out[i, BGROW_NEAR] = reach * (0.5 if hits[i] < young_hits else 0.2)
+        out[i, BPRIOR] = 2.0 * math.log(max(length[i], 4.0) * width[i]) + (0.0 if confirmed[i] else handicap)
     return out
 
 
@@ -82,56 +117,78 @@ def assign(
     np.fill_diagonal(contested, size > 0)
     box, group = np.nonzero(contested)
     measured = measure_boxes(box, group, owner, points, boxes, range_seen_min_m)
-    z, R = _polar(measured, boxes[box], z_hat[box], p)
-    innovation = z - z_hat[box]
-    innovation[:, 1] = (innovation[:, 1] + math.pi) % (2.0 * math.pi) - math.pi
-    S = S_prior[box] + R
-    no_doppler = np.isnan(innovation[:, 2])
-    innovation[no_doppler, 2] = 0.0
-    S[no_doppler, 2, :], S[no_doppler, :, 2] = 0.0, 0.0
-    S[no_doppler, 2, 2] = 1.0
-    solved = np.linalg.solve(S, innovation[:, :, None])[:, :, 0]
-    d2 = np.einsum("pi,pi->p", innovation, solved)
-    log_density = -0.5 * (d2 + np.linalg.slogdet(2.0 * math.pi * S)[1])
-    # clutter is uniform in the plane: an element of azimuth is wider far away
-    ground = np.maximum(z[:, 0], 1.0)
-    log_clutter = np.log(p.boxes.clutter_per_m2_mps * ground)
-    log_clutter = np.where(no_doppler, math.log(p.boxes.clutter_per_m2) + np.log(ground), log_clutter)
-    log_weight = np.full((n, n), -np.inf)
-    inside = (d2 < p.boxes.ellipse_gate) | (box == group)
     exists = 1.0 / (1.0 + np.exp(-tracks.log_odds))
     pd = exists * detect
-    log_weight[box[inside], group[inside]] = (np.log(pd[box]) + np.maximum(log_density - log_clutter, -20.0))[
-        inside
-    ]
-    # a set must be worth more to its own box than nothing at all, or a bounded outlier would starve the track
-    joint = marginals(log_weight, np.log1p(-pd), temper=p.boxes.temper)
+    b = p.boxes
+    doppler_var = (b.doppler_noise_factor * p.sensor.velocity_std_mps) ** 2
+    z, R, log_weight = _weigh_pairs(
+        box, group, measured, boxes, z_hat, S_prior, pd,
+        (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate),
+    )  # fmt: skip
+    joint = marginals(log_weight, np.log1p(-pd), temper=b.temper)
     return _pad(
         box, group, z, R, measured, joint.beta, joint.miss, owner, own, joint.components, joint.approximated
     )
 
 
-def _polar(measured: F64, b: F64, z_hat: F64, p: TrackerParameters) -> tuple[F64, F64]:
-    """Return the measured centre as (range, azimuth, range rate) (P, 3) and its covariance (P, 3, 3)."""
-    u, w = measured[:, M_U], measured[:, M_W]
-    x = b[:, BX] + b[:, BSIN] * u + b[:, BCOS] * w
-    y = b[:, BY] + b[:, BCOS] * u - b[:, BSIN] * w
-    g = np.maximum(np.hypot(x, y), 1e-3)
-    z = np.stack([g, np.arctan2(x, y), z_hat[:, 2] + measured[:, M_V]], axis=1)
-    lx, ly = x / g, y / g
-    cu, su = (
-        b[:, BSIN] * lx + b[:, BCOS] * ly,
-        b[:, BSIN] * ly - b[:, BCOS] * lx,
-    )  # along the line of sight, across it
-    cw, sw = b[:, BCOS] * lx - b[:, BSIN] * ly, b[:, BCOS] * ly + b[:, BSIN] * lx
-    var_u, var_w = measured[:, M_VAR_U], measured[:, M_VAR_W]
-    R = np.zeros((len(g), 3, 3))
-    R[:, 0, 0] = cu**2 * var_u + cw**2 * var_w
-    R[:, 1, 1] = (su**2 * var_u + sw**2 * var_w) / g**2
-    R[:, 0, 1] = R[:, 1, 0] = (cu * su * var_u + cw * sw * var_w) / g
-    std = p.boxes.doppler_noise_factor * p.sensor.velocity_std_mps
-    R[:, 2, 2] = std**2 * measured[:, M_VAR_V] + p.boxes.doppler_floor_mps**2
-    return z, R
+@kernel
+def _weigh_pairs(
+    box: I64, group: I64, measured: F64, boxes: F64, z_hat: F64, S_prior: F64, pd: F64, q: tuple[float, ...]
+) -> tuple[F64, F64, F64]:
+    """Return each pair's measured centre (P, 3) as range, azimuth, range rate, its covariance, and log weights (T, T).
+
+    The weight of a pair is P_D N(innovation; 0, S) over the density of clutter; a pair of another box's set outside the
+    elliptical gate weighs nothing. Clutter is uniform in the plane: an element of azimuth is wider far away.
+    """
+    doppler_var, doppler_floor, density3, density2, gate = q
+    n_pairs, n = len(box), len(boxes)
+    z, R = np.empty((n_pairs, 3)), np.zeros((n_pairs, 3, 3))
+    log_weight = np.full((n, n), -np.inf)
+    S, L, e = np.empty((3, 3)), np.zeros((3, 3)), np.empty(3)
+    for k in range(n_pairs):
+        i, m = box[k], measured[k]
+        b = boxes[i]
+        x = b[BX] + b[BSIN] * m[M_U] + b[BCOS] * m[M_W]
+        y = b[BY] + b[BCOS] * m[M_U] - b[BSIN] * m[M_W]
+        g = max(math.hypot(x, y), 1e-3)
+        lx, ly = x / g, y / g
+        cu, su = (
+            b[BSIN] * lx + b[BCOS] * ly,
+            b[BSIN] * ly - b[BCOS] * lx,
+        )  # along the line of sight, across it
+        cw, sw = b[BCOS] * lx - b[BSIN] * ly, b[BCOS] * ly + b[BSIN] * lx
+        var_u, var_w = m[M_VAR_U], m[M_VAR_W]
+        z[k, 0], z[k, 1], z[k, 2] = g, math.atan2(x, y), z_hat[i, 2] + m[M_V]
+        R[k, 0, 0] = cu * cu * var_u + cw * cw * var_w
+        R[k, 1, 1] = (su * su * var_u + sw * sw * var_w) / (g * g)
+        R[k, 0, 1] = R[k, 1, 0] = (cu * su * var_u + cw * sw * var_w) / g
+        R[k, 2, 2] = doppler_var * m[M_VAR_V] + doppler_floor
+        size = 3 if m[M_V] == m[M_V] else 2
+        e[0], e[1], e[2] = g - z_hat[i, 0], z[k, 1] - z_hat[i, 1], m[M_V]
+        e[1] = (e[1] + math.pi) % (2.0 * math.pi) - math.pi
+        for r in range(3):
+            for c in range(3):
+                S[r, c] = S_prior[i, r, c] + R[k, r, c]
+        # Cholesky of the measured channels, with the innovation solved along
+        d2 = log_det = 0.0
+        for r in range(size):
+            for c in range(r + 1):
+                value = S[r, c]
+                for t in range(c):
+                    value -= L[r, t] * L[c, t]
+                L[r, c] = math.sqrt(max(value, 1e-18)) if r == c else value / L[c, c]
+            for t in range(r):
+                e[r] -= L[r, t] * e[t]
+            e[r] /= L[r, r]
+            d2 += e[r] * e[r]
+            log_det += 2.0 * math.log(L[r, r])
+        if d2 >= gate and i != group[k]:
+            continue
+        log_density = -0.5 * (d2 + log_det + size * math.log(2.0 * math.pi))
+        log_clutter = math.log((density3 if size == 3 else density2) * max(g, 1.0))
+        # bounded: an outlier among its own points must not leave a track with nothing at all
+        log_weight[i, group[k]] = math.log(pd[i]) + max(log_density - log_clutter, -20.0)
+    return z, R, log_weight
 
 
 def _pad(
@@ -140,7 +197,6 @@ def _pad(
 ) -> Assignment:  # fmt: skip
     """Return the pairs as padded arrays, a row a track."""
     n = len(own)
-    slot = np.zeros(len(box), dtype=np.int64)
     per_track = np.bincount(box, minlength=n)
     start = np.concatenate([[0], np.cumsum(per_track)[:-1]])
     slot = np.arange(len(box)) - start[box]  # pairs come ordered by box
@@ -152,6 +208,3 @@ def _pad(
     table = np.zeros((n, measured.shape[1]))
     table[box[mine]] = measured[mine]
     return Assignment(zs, Rs, b, miss, table, owner, components, approximated)
-
-
-__all__ = ["M_COUNT", "PV", "Assignment", "assign", "box_array"]

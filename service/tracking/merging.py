@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.tracking.model import Bool
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, Bool
 from service.tracking.state import Tracks
 
 
@@ -29,7 +31,9 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     """Return the tracks, long ones stretched over their pieces, and which of them (T,) to drop."""
     n = len(tracks)
     drop = np.zeros(n, dtype=np.bool_)
-    if n < 2:
+    if n < 2 or not _any_near(
+        tracks.mean, 0.5 * p.length_max_m + p.piece_gap_m, p.lane_across_m + p.same_centre_m
+    ):
         return tracks, drop
     dx = tracks.x_m[None, :] - tracks.x_m[:, None]
     dy = tracks.y_m[None, :] - tracks.y_m[:, None]
@@ -71,3 +75,16 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
                 mean[i, 0] += 0.5 * (lo + hi) * s
                 mean[i, 3] += 0.5 * (lo + hi) * c
     return replace(tracks, mean=mean, length_m=length), drop
+
+
+@kernel
+def _any_near(mean: F64, along_m: float, across_m: float) -> bool:
+    """Return whether two tracks are so near, in either axis of their motion, that they may be one vehicle."""
+    for i in range(len(mean)):
+        speed = max(math.hypot(mean[i, 1], mean[i, 4]), 1e-9)
+        s, c = mean[i, 1] / speed, mean[i, 4] / speed
+        for j in range(i):
+            dx, dy = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3]
+            if math.hypot(dx, dy) < along_m and (speed < 2.0 or abs(c * dx - s * dy) < across_m):
+                return True
+    return False
