@@ -1,4 +1,4 @@
-"""Give the points of a frame to the tracks: claims by boxes, then joint probabilities over what is contested."""
+"""Give the points of a frame to the tracks: boxes claim, joint probabilities settle what is contested."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from service.tracking.state import Tracks
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What the frame says of T tracks: padded measurements with their probabilities, and the owner of each point."""
+    """What the frame says of T tracks: padded measurements, their probabilities, the owner of each point."""
 
     z: F64  # (T, J, 3) ground range, azimuth, range rate of the box centre
     R: F64  # (T, J, 3, 3)
@@ -67,7 +67,8 @@ def box_array(tracks: Tracks, mean: F64, cov: F64, p: TrackerParameters) -> F64:
 
 @kernel
 def _box_array(
-    mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool, growth_reach: float,
+    mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool,
+    growth_reach: float,
     young_hits: int, handicap: float,
 ) -> F64:  # fmt: skip
     n = len(heading)
@@ -93,18 +94,19 @@ def _box_array(
 
 
 def assign(
-    tracks: Tracks, boxes: F64, z_hat: F64, S_prior: F64, detect: F64, points: F64, label: I64, range_seen_min_m: float,
+    tracks: Tracks, boxes: F64, z_hat: F64, S_prior: F64, detect: F64, points: F64, label: I64,
+    range_seen_min_m: float,
     p: TrackerParameters,
 ) -> Assignment:  # fmt: skip
     """Return the association of a frame's points (N, POINT_COLUMNS) with T tracks.
 
-    z_hat (T, 3) and S_prior (T, 3, 3): expected measurement of the centre and its covariance without noise; detect
-    (T,): detection probability; label (N,): cluster of each point, -1 none.
+    z_hat (T, 3) and S_prior (T, 3, 3): expected measurement of the centre and its covariance without noise;
+    detect (T,): detection probability; label (N,): cluster of each point, -1 none.
 
-    Each box claims points; the points of one box are one measurement of it. A set that lies in another box's gate as
-    well is contested, and the exact marginals of joint probabilistic data association divide it (Fortmann, Bar-Shalom
-    and Scheffe 1983), with a measurement of its own for each pair of box and set, because the near face that a point
-    stands for depends on the box.
+    Each box claims points; the points of one box are one measurement of it. A set that lies in another box's
+    gate as well is contested, and the exact marginals of joint probabilistic data association divide it
+    (Fortmann, Bar-Shalom and Scheffe 1983), with a measurement of its own for each pair of box and set,
+    because the near face that a point stands for depends on the box.
     """
     n = len(tracks)
     cost = point_costs(points, boxes)
@@ -135,10 +137,11 @@ def assign(
 def _weigh_pairs(
     box: I64, group: I64, measured: F64, boxes: F64, z_hat: F64, S_prior: F64, pd: F64, q: tuple[float, ...]
 ) -> tuple[F64, F64, F64]:
-    """Return each pair's measured centre (P, 3) as range, azimuth, range rate, its covariance, and log weights (T, T).
+    """Return each pair's measured centre (P, 3), its covariance (P, 3, 3), and log weights (T, T).
 
-    The weight of a pair is P_D N(innovation; 0, S) over the density of clutter; a pair of another box's set outside the
-    elliptical gate weighs nothing. Clutter is uniform in the plane: an element of azimuth is wider far away.
+    The weight of a pair is P_D N(innovation; 0, S) over the density of clutter; a pair of another box's set
+    outside the elliptical gate weighs nothing. Clutter is uniform in the plane: an element of azimuth is
+    wider far away.
     """
     doppler_var, doppler_floor, density3, density2, gate = q
     n_pairs, n = len(box), len(boxes)
@@ -192,7 +195,8 @@ def _weigh_pairs(
 
 
 def _pad(
-    box: I64, group: I64, z: F64, R: F64, measured: F64, beta: F64, miss: F64, owner: I64, own: I64, components: int,
+    box: I64, group: I64, z: F64, R: F64, measured: F64, beta: F64, miss: F64, owner: I64, own: I64,
+    components: int,
     approximated: int,
 ) -> Assignment:  # fmt: skip
     """Return the pairs as padded arrays, a row a track."""

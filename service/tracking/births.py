@@ -38,7 +38,7 @@ class BirthParameters:
 
 @dataclass(frozen=True, slots=True)
 class Births:
-    """B new tracks: centre, heading, velocity and their standard deviations in the axes of the line of sight."""
+    """B new tracks: centre, heading, velocity; standard deviations along and across the line of sight."""
 
     x_m: F64
     y_m: F64
@@ -81,8 +81,8 @@ def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points:
 def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64 | None:
     """Return one row of Births' floats for the current points of a cluster, None when they do not move.
 
-    points (n, POINT_COLUMNS). The velocity is the Doppler along the line of sight, or along the road's direction where
-    the road map knows it.
+    points (n, POINT_COLUMNS). The velocity is the Doppler along the line of sight, or along the road's
+    direction where the road map knows it.
     """
     v = float(np.nanmedian(points[:, PV])) if np.isfinite(points[:, PV]).any() else math.nan
     weight = points[:, PWEIGHT]
@@ -104,8 +104,9 @@ def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters
     n = len(points)
     std_t = math.sqrt(float(np.average(points[:, PVAR_AZ], weights=weight)) * g * g / n + 0.16)
     return np.array([
-        x * centre / g, y * centre / g, heading, vx, vy, math.sqrt(float(points[:, PVAR_R].mean()) + 0.16), std_t,
-        p.radial_std_mps if not math.isnan(v) else 10.0, std_tangential if not math.isnan(v) else 10.0, n,
+        x * centre / g, y * centre / g, heading, vx, vy,
+        math.sqrt(float(points[:, PVAR_R].mean()) + 0.16), std_t,
+        10.0 if math.isnan(v) else p.radial_std_mps, 10.0 if math.isnan(v) else std_tangential, n,
         float(np.ptp(points[:, PG])), p.length_m, 0.0,
     ])  # fmt: skip
 
@@ -113,7 +114,10 @@ def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters
 def gather(rows: list[F64]) -> Births:
     """Return the rows of `moving_birth` and `standing_births` as columns."""
     table = np.array(rows).reshape(-1, 13)
-    return Births(*table.T[:12], standing=table[:, 12] > 0.5)
+    x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing = table.T
+    return Births(
+        x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing > 0.5
+    )  # fmt: skip
 
 
 @kernel
@@ -143,9 +147,10 @@ def standing_births(
 ) -> list[F64]:
     """Return rows of Births' floats for the standing vehicles in the points of the last second.
 
-    points (N, POINT_COLUMNS) of `frames` frames, standing, in no box and in no clutter cell; driven (N,): vehicles have
-    driven there, in direction road_heading_rad (N,). A box is taken when its points are too many for posts, or fewer on
-    a driven place; it is stretched along a side while the gaps stay small (buses), then its points are taken away.
+    points (N, POINT_COLUMNS) of `frames` frames, standing, in no box and in no clutter cell; driven (N,):
+    vehicles have driven there, in direction road_heading_rad (N,). A box is taken when its points are too
+    many for posts, or fewer on a driven place; it is stretched along a side while the gaps stay small
+    (buses), then its points are taken away.
     """
     rows: list[F64] = []
     if len(points) < p.standing_cluster_points:
@@ -217,7 +222,7 @@ def _standing_box(
     if on_road:
         headings = [road_heading]
     elif len(index) >= 4:
-        values, vectors = np.linalg.eigh(np.cov(np.stack([x[index], y[index]])))
+        _, vectors = np.linalg.eigh(np.cov(np.stack([x[index], y[index]])))
         headings.append(math.atan2(vectors[0, 1], vectors[1, 1]))
     h, u0, w0, _ = _best_box(x[index], y[index], np.array(headings), 5.0, 2.3)
     s, c = math.sin(headings[h]), math.cos(headings[h])

@@ -1,7 +1,8 @@
 """Hold radar points against vehicle boxes: whose point is it, and where does it put the centre of the box.
 
-A vehicle is a box with a heading; the radar sees its near faces. `u` runs along the box and `w` across it (positive
-to the right), both from the predicted centre. Angles of aspect are between the box's long axis and the line of sight.
+A vehicle is a box with a heading; the radar sees its near faces. `u` runs along the box and `w` across it
+(positive to the right), both from the predicted centre. Angles of aspect are between the box's long axis and
+the line of sight.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ BOX_COLUMNS = 15
 M_U, M_W, M_VAR_U, M_VAR_W, M_V, M_VAR_V, M_COUNT, M_U_MIN, M_U_MAX, M_ECHO, M_EDGE, M_WEIGHT = range(12)
 MEASUREMENT_COLUMNS = 12
 
-# Visible-side bias of the weighted mean across the box, in widths, by aspect angle: side faces turn towards the
+# Visible-side bias of the weighted mean across the box, in widths, by aspect angle: side faces turn towards
+# the
 # radar and pull the mean to their side. Measured on labelled scenes; see docs/tracker.md.
 _BIAS_ANGLE_RAD = np.deg2rad(np.array([0.0, 3.0, 8.0, 15.0, 30.0, 60.0, 90.0]))
 _BIAS_WIDTHS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.36, 0.39])
@@ -37,8 +39,8 @@ _REACH_M = 22.0  # points further than this from a centre belong to no box: half
 def point_costs(points: F64, boxes: F64) -> F64:
     """Return the squared normalised distance (T, N) of every point to every box, inf where out of reach.
 
-    points (N, POINT_COLUMNS), boxes (T, BOX_COLUMNS). Zero anywhere inside the box except for a weak pull to its long
-    axis; a point without radial velocity (NaN) is judged by its position alone.
+    points (N, POINT_COLUMNS), boxes (T, BOX_COLUMNS). Zero anywhere inside the box except for a weak pull to
+    its long axis; a point without radial velocity (NaN) is judged by its position alone.
     """
     n_boxes, n_points = len(boxes), len(points)
     cost = np.full((n_boxes, n_points), np.inf)
@@ -61,7 +63,8 @@ def point_costs(points: F64, boxes: F64) -> F64:
             var_t = p[PG] * p[PG] * p[PVAR_AZ]
             var_u = to_radar * to_radar * p[PVAR_R] + across_los * across_los * var_t
             var_w = across_los * across_los * p[PVAR_R] + to_radar * to_radar * var_t
-            # only in its own lane may a box reach beyond its ends: that is how a long vehicle is found to be long
+            # only in its own lane may a box reach beyond its ends: that is how a long vehicle is found to be
+            # long
             beyond = 0.0
             if abs(w) < 0.5 * width + 0.6:
                 beyond = b[BGROW_NEAR] if u * to_radar > 0.0 else b[BGROW_FAR]
@@ -82,8 +85,8 @@ def point_costs(points: F64, boxes: F64) -> F64:
 def claim_points(cost: F64, prior: F64, label: I64, gate: float, cluster_gate: float) -> I64:
     """Return the owner (N,) of every point: the box with least cost plus prior inside the gate, -1 for none.
 
-    A cluster (label >= 0) that one box alone claims goes to it as a whole, as far as `cluster_gate`; one that several
-    boxes claim is divided between them point by point.
+    A cluster (label >= 0) that one box alone claims goes to it as a whole, as far as `cluster_gate`; one that
+    several boxes claim is divided between them point by point.
     """
     n_boxes, n_points = cost.shape
     owner = np.full(n_points, -1, dtype=np.int64)
@@ -171,9 +174,10 @@ def measure_boxes(
 ) -> F64:
     """Return (P, MEASUREMENT_COLUMNS): where the points of a set put the centre of a box, for each pair.
 
-    Positions are (u, w) from the predicted centre; M_V is the range rate beyond the prediction (NaN without Doppler).
-    End-on the near face fixes the centre along the box; at the near edge of the view, where the near face is cut off,
-    the far end does; side-on the middle of both ends, or, with one end unseen, only that the box holds the points.
+    Positions are (u, w) from the predicted centre; M_V is the range rate beyond the prediction (NaN without
+    Doppler). End-on the near face fixes the centre along the box; at the near edge of the view, where the
+    near face is cut off, the far end does; side-on the middle of both ends, or, with one end unseen, only
+    that the box holds the points.
     """
     out = np.zeros((len(pair_box), MEASUREMENT_COLUMNS))
     n = len(owner)

@@ -1,7 +1,8 @@
 """Learn where the radar always sees the same standing points, so that posts and rails start no tracks.
 
-The map holds, per cell of range and azimuth, how often a lone standing point was seen there lately. A vehicle that
-stands gives several points beside one another; a post gives exactly one, so only lone points are learned.
+The map holds, per cell of range and azimuth, how often a lone standing point was seen there lately. A vehicle
+that stands gives several points beside one another; a post gives exactly one, so only lone points are
+learned.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def _look_up(occupancy: F32, row: F64, column: F64) -> F64:
 
 
 @kernel
-def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, free: Bool, lone_range_m: float,
-           lone_across_m: float, gain: float, loss: float) -> F32:  # fmt: skip
+def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, free: Bool,
+           lone_range_m: float, lone_across_m: float, gain: float, loss: float) -> F32:  # fmt: skip
     rows, columns = occupancy.shape
     out = (occupancy * np.float32(1.0 - loss)).astype(np.float32)
     n = len(row)
@@ -121,7 +122,7 @@ def learn(clutter: ClutterMap, points: F64, free: Bool, parameters: ClutterParam
             p.lone_across_m,
             1.0 / p.learn_frames,
             1.0 / p.forget_frames,
-        )  # fmt: skip
+        )
     )
 
 
@@ -132,7 +133,7 @@ def stands_between(
     other_azimuth_rad: float,
     parameters: ClutterParameters,
 ) -> bool:
-    """Return whether learned clutter stands between two bearings at about this range: a rail may mirror across it."""
+    """Return whether clutter stands between two bearings at about this range: a rail that may mirror."""
     p = parameters
     low, high = sorted((azimuth_rad, other_azimuth_rad))
     margin = p.cell_azimuth_rad

@@ -1,8 +1,8 @@
 """Weigh the evidence that a track is a vehicle, and decide when it is confirmed and when it ends.
 
-The log-odds of existence follow JIPDA (Musicki and Evans 2004): the likelihood ratio of the frame's association is
-added to them. The evidence of one frame is bounded, because radar clutter comes in runs (ghosts, swaying posts) and is
-not the independent Poisson field of the derivation.
+The log-odds of existence follow JIPDA (Musicki and Evans 2004): the likelihood ratio of the frame's
+association is added to them. The evidence of one frame is bounded, because radar clutter comes in runs
+(ghosts, swaying posts) and is not the independent Poisson field of the derivation.
 """
 
 from __future__ import annotations
@@ -66,6 +66,8 @@ class ExistenceParameters:
     mirror_mps: float = 1.2
     mirror_across_m: float = 2.0
     mirror_db: float = 3.0
+    rail_range_m: float = 8.0  # the same, where a row of standing echoes lies between the two
+    rail_mps: float = 1.5
     ghost_life_s: float = 2.0  # ghosts live some 0.6 s: what lasts longer is no ghost
     slow_wait: float = 5.0
     slow_range_rate_mps: float = 1.3  # what moves slower than this along the line of sight ...
@@ -87,9 +89,11 @@ class Surroundings:
 
 
 def detection_probability(tracks: Tracks, p: ExistenceParameters) -> F64:
-    """Return the probability (T,) that the radar sees the vehicle in a frame: its running rate, with a floor by range."""
-    return _detection(tracks.mean, tracks.detect_rate, p.detect_floor_near, p.detect_floor_far, p.detect_near_m,
-                      p.detect_far_m, p.detect_max)  # fmt: skip
+    """Return the probability (T,) that a frame sees the vehicle: its running rate, floored by range."""
+    return _detection(
+        tracks.mean, tracks.detect_rate, p.detect_floor_near, p.detect_floor_far, p.detect_near_m,
+        p.detect_far_m, p.detect_max,
+    )  # fmt: skip
 
 
 @kernel
@@ -140,20 +144,24 @@ def remember(
     hit_us, rate = tracks.hit_us.copy(), tracks.detect_rate.copy()
     points, echo = tracks.points_per_hit.copy(), tracks.echo_db.copy()
     _remember(
-        tracks.mean, measured, miss, hidden, detection_probability(tracks, p), time_us, log_odds, hits, empty, hit_us,
+        tracks.mean, measured, miss, hidden, detection_probability(tracks, p), time_us, log_odds, hits,
+        empty, hit_us,
         rate, points, echo, p.hit_evidence, p.hit_base, p.hit_per_point, p.log_odds_max, p.memory_frames,
         p.shadowed_miss, p.standing_miss, p.standing_mps,
     )  # fmt: skip
     return replace(
-        tracks, log_odds=log_odds, hits=hits, empty=empty, hit_us=hit_us, detect_rate=rate, points_per_hit=points,
+        tracks, log_odds=log_odds, hits=hits, empty=empty, hit_us=hit_us, detect_rate=rate,
+        points_per_hit=points,
         echo_db=echo,
     )  # fmt: skip
 
 
 @kernel
 def _remember(
-    mean: F64, measured: F64, miss: F64, hidden: Bool, detect: F64, time_us: int, log_odds: F64, hits: I64, empty: I64,
-    hit_us: I64, rate: F64, points: F64, echo: F64, evidence: float, base: float, per_point: float, most: float,
+    mean: F64, measured: F64, miss: F64, hidden: Bool, detect: F64, time_us: int, log_odds: F64, hits: I64,
+    empty: I64,
+    hit_us: I64, rate: F64, points: F64, echo: F64, evidence: float, base: float, per_point: float,
+    most: float,
     memory: float, shadowed_miss: float, standing_miss: float, standing_mps: float,
 ) -> None:  # fmt: skip
     for i in range(len(miss)):
@@ -189,12 +197,13 @@ def judge(
 ) -> tuple[U8, Bool]:
     """Return the status (T,) of the tracks and which of them (T,) end now.
 
-    A tentative track is confirmed when its log-odds pass the threshold; what looks like a ghost or a post must pass it
-    by more, or wait until a ghost would be gone.
+    A tentative track is confirmed when its log-odds pass the threshold; what looks like a ghost or a post
+    must pass it by more, or wait until a ghost would be gone.
     """
     status, over = np.empty(len(tracks), dtype=np.uint8), np.zeros(len(tracks), dtype=np.bool_)
     wait = _waits(
-        tracks.mean, tracks.status, tracks.echo_db, tracks.points_per_hit, tracks.born_us, time_us, echo_reference_db,
+        tracks.mean, tracks.status, tracks.echo_db, tracks.points_per_hit, tracks.born_us, time_us,
+        echo_reference_db,
         around.off_road, around.behind_rail,
         (p.weak_db, p.weak_from_m, p.weak_to_m, p.weak_wait, p.few_points, p.behind_wait, p.behind_from_m,
          p.behind_to_m, p.behind_across_m, p.mirror_wait, p.mirror_range_m, p.mirror_mps, p.mirror_across_m,
@@ -204,9 +213,11 @@ def judge(
         tracks.mean, tracks.status, tracks.log_odds, tracks.hits, tracks.empty, tracks.points_per_hit,
         tracks.born_x_m, tracks.born_y_m, tracks.born_us, tracks.hit_us, time_us, wait, hidden, around.driven,
         around.known_road,
-        (p.confirm_log_odds, p.delete_log_odds, p.standing_mps, p.slow_range_rate_mps, p.slow_travel_m, p.slow_points,
+        (p.confirm_log_odds, p.delete_log_odds, p.standing_mps, p.slow_range_rate_mps, p.slow_travel_m,
+        p.slow_points,
          p.few_points, p.post_after_s, p.post_travel_m, float(p.settled_hits)),
-        (p.coast_s, p.coast_shadowed_s, p.coast_standing_s, p.coast_tentative_s, p.coast_young_s, p.coast_per_hit_s),
+        (p.coast_s, p.coast_shadowed_s, p.coast_standing_s, p.coast_tentative_s, p.coast_young_s,
+        p.coast_per_hit_s),
         status, over,
     )  # fmt: skip
     return status, over
@@ -214,7 +225,8 @@ def judge(
 
 @kernel
 def _waits(
-    mean: F64, status: U8, echo: F64, points: F64, born_us: I64, time_us: int, reference: float, off_road: Bool,
+    mean: F64, status: U8, echo: F64, points: F64, born_us: I64, time_us: int, reference: float,
+    off_road: Bool,
     behind_rail: Bool, q: tuple[float, ...],
 ) -> F64:  # fmt: skip
     """Return how far above the threshold (T,) the log-odds must rise; inf: not yet at all."""
@@ -276,7 +288,8 @@ def _waits(
 
 @kernel
 def _judge(
-    mean: F64, before: U8, log_odds: F64, hits: I64, empty: I64, points: F64, born_x: F64, born_y: F64, born_us: I64,
+    mean: F64, before: U8, log_odds: F64, hits: I64, empty: I64, points: F64, born_x: F64, born_y: F64,
+    born_us: I64,
     hit_us: I64, time_us: int, wait: F64, hidden: Bool, driven: Bool, known_road: Bool, q: tuple[float, ...],
     coast: tuple[float, ...], status: U8, over: Bool,
 ) -> None:  # fmt: skip
@@ -317,9 +330,10 @@ def _judge(
 
 
 def mirror_partners(tracks: Tracks, p: ExistenceParameters) -> tuple[I64, I64]:
-    """Return pairs of tracks (i, j): j confirmed, beside the tentative i at its range and Doppler, and the stronger."""
-    return _mirror_partners(tracks.mean, tracks.status, tracks.echo_db, 1.6 * p.mirror_range_m, p.mirror_mps + 0.3,
-                            p.mirror_across_m)  # fmt: skip
+    """Return pairs (i, j): j confirmed, beside the tentative i at its range and Doppler, and stronger."""
+    return _mirror_partners(
+        tracks.mean, tracks.status, tracks.echo_db, p.rail_range_m, p.rail_mps, p.mirror_across_m
+    )
 
 
 @kernel

@@ -51,7 +51,8 @@ class ExtentParameters:
 def learn(tracks: Tracks, measured: F64, hit: Bool, across_std_rad: float, p: ExtentParameters) -> Tracks:
     """Return the tracks with their length, width, heading and sideways speed settled after a frame.
 
-    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); across_std_rad: azimuth noise of a point.
+    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); across_std_rad: azimuth noise of a
+    point.
     """
     if not len(tracks):
         return tracks
@@ -60,7 +61,8 @@ def learn(tracks: Tracks, measured: F64, hit: Bool, across_std_rad: float, p: Ex
     _learn_length(
         mean, heading, length, width, ring, measured, hit, tracks.hits, tracks.points_per_hit, across_std_rad,
         (p.percentile, p.end_margin_m, p.growth_m, p.edge_growth_m, p.shrink_m, p.frozen_below_mps,
-         float(p.frozen_after_hits), p.length_min_m, p.length_max_m, p.car_length_m, p.narrow_extent_m, p.narrow_points,
+         float(p.frozen_after_hits), p.length_min_m, p.length_max_m, p.car_length_m, p.narrow_extent_m,
+         p.narrow_points,
          float(p.narrow_hits)),
         (p.wide_from_m, p.wide_m, p.car_width_m, p.narrow_below_m, p.narrow_width_m),
     )  # fmt: skip
@@ -80,7 +82,7 @@ def _learn_length(
     mean: F64, heading: F64, length: F64, width: F64, ring: F64, measured: F64, hit: Bool, hits: I64,
     points_per_hit: F64, across_std_rad: float, lengths: tuple[float, ...], widths: tuple[float, ...],
 ) -> None:  # fmt: skip
-    """Update lengths and widths in place, holding the near face where it is (at the near edge, the far one)."""
+    """Update lengths and widths in place, holding the near face (at the near edge of view, the far one)."""
     percentile, margin, growth, edge_growth, shrink, frozen_below, frozen_after = lengths[:7]
     shortest, longest, car, narrow_extent, narrow_points, narrow_hits = lengths[7:]
     wide_from, wide, car_width, narrow_below, narrow_width = widths
@@ -99,7 +101,7 @@ def _learn_length(
         count = 0
         while count < len(ordered) and ordered[count] == ordered[count]:
             count += 1
-        rank = min(max(int(math.ceil(percentile / 100.0 * count)) - 1, 0), count - 1)
+        rank = min(max(math.ceil(percentile / 100.0 * count) - 1, 0), count - 1)
         seen = ordered[rank] + margin
         target = max(seen, car)
         if count >= narrow_hits and seen < narrow_extent and points_per_hit[i] < narrow_points:
@@ -128,7 +130,8 @@ def _turn(mean: F64, cov: F64, heading: F64, length: F64, turning: tuple[float, 
         before = heading[i]
         error = (math.atan2(vx, vy) - before + math.pi) % (2.0 * math.pi) - math.pi
         if abs(error) > 0.5 * math.pi:
-            # a first guess that was the wrong way round is turned over at once: the box is the same either way
+            # a first guess that was the wrong way round is turned over at once: the box is the same either
+            # way
             before += math.pi
             error -= math.copysign(math.pi, error)
         after = before + min(gain0 + gain_per_mps * speed, gain_max) * error
@@ -145,8 +148,8 @@ def _along_only(
 ) -> None:
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
-    Its standard deviation is wide while the heading is a guess, and narrow once hits have settled it. Without Doppler a
-    young track's velocity may point anywhere: there its heading must not bind it.
+    Its standard deviation is wide while the heading is a guess, and narrow once hits have settled it. Without
+    Doppler a young track's velocity may point anywhere: there its heading must not bind it.
     """
     gain, joseph = np.empty(6), np.empty((6, 6))
     for t in range(len(mean)):

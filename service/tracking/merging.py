@@ -56,7 +56,7 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     )
     piece &= (speed > p.piece_speed_mps)[:, None] & ((along + half[:, None] + half[None, :]) < p.length_max_m)
     pair = close | inside | inside.T | (piece & piece.T)
-    np.fill_diagonal(pair, False)  # noqa: FBT003
+    np.fill_diagonal(pair, False)
     if not pair.any():
         return tracks, drop
     # the stronger stays: confirmed before tentative, then the older (lower number comes first)

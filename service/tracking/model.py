@@ -34,8 +34,8 @@ class Frame:
     """One scan of the radar: N point detections as columns, sign conventions and units already ours.
 
     `sequence` is the frame number on the wire (None: the sensor does not number its frames). Unknown radial
-    velocity or SNR is NaN. Columns are float32, as the log stores them, so that a frame read from a file and the
-    same frame read back from the log are equal to the bit.
+    velocity or SNR is NaN. Columns are float32, as the log stores them, so that a frame read from a file and
+    the same frame read back from the log are equal to the bit.
     """
 
     sensor_id: str
@@ -55,8 +55,8 @@ class Frame:
 class TrackEstimates:
     """The confirmed and coasting tracks after one frame, T of them, ordered by number.
 
-    Position and velocity are those of the centre of the vehicle's box. float32 throughout: what is stored, served
-    and written to files is rendered from these same numbers.
+    Position and velocity are those of the centre of the vehicle's box. float32 throughout: what is stored,
+    served and written to files is rendered from these same numbers.
     """
 
     number: I64  # (T,) counter of the epoch, never reused inside it

@@ -13,7 +13,7 @@ ECHO_RANGE_M = 100.0  # echoes are compared as if they came from here
 
 
 def point_array(frame: Frame, sensor: SensorModel) -> F64:
-    """Return the points (N, POINT_COLUMNS) of a frame: place, ground-plane range rate, variances, weight, echo."""
+    """Return the points (N, POINT_COLUMNS) of a frame: place, range rate, variances, weight, echo."""
     plan = plan_points(frame, sensor)
     out = np.empty((len(plan), POINT_COLUMNS))
     out[:, PX], out[:, PY], out[:, PG] = plan.x_m, plan.y_m, plan.range_m

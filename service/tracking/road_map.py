@@ -1,7 +1,7 @@
 """Remember where vehicles have driven and in which direction.
 
-A coarse grid of the plan frame. New tracks take their heading from it, tracks off it must prove themselves for longer,
-and standing objects on it may be vehicles.
+A coarse grid of the plan frame. New tracks take their heading from it, tracks off it must prove themselves
+for longer, and standing objects on it may be vehicles.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: Ro
 
 
 def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[F64, F64, F64]:
-    """Return the tracks seen in each place's cell and its neighbour across, the mean heading [rad] and its agreement.
+    """Return, for each place, the tracks seen in its cell, their mean heading [rad] and its agreement.
 
     Agreement is the length of the mean unit vector, 1 where all drove the same way, 0 where nobody drove.
     """

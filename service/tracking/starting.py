@@ -53,7 +53,7 @@ def _outside(born: birth.Births, rows: list[F64], tracks: Tracks, p: TrackerPara
     margin = p.birth.keep_out_m
     inside = (np.abs(u) < 0.5 * tracks.length_m + margin) & (np.abs(w) < 0.5 * tracks.width_m + 0.3)
     near = np.hypot(u, w) < 2.0
-    ok = ~(inside | near).any(axis=1)
+    ok = np.asarray(~(inside | near).any(axis=1))
     return birth.gather([r for r, k in zip(rows, ok, strict=True) if k])
 
 

@@ -1,4 +1,7 @@
-"""The state of one sensor's tracker: tracks as arrays, recent points, maps and counters. A value, never changed in place."""
+"""The state of one sensor's tracker: tracks as arrays, recent points, maps and counters.
+
+A value, never changed in place.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +74,7 @@ class Tracks:
     @property
     def confirmed(self) -> Bool:
         """Which tracks are confirmed or coasting."""
-        return self.status != TrackStatus.TENTATIVE
+        return np.asarray(self.status != TrackStatus.TENTATIVE)
 
 
 def no_tracks(memory_size: int) -> Tracks:

@@ -1,7 +1,7 @@
 """One step of the tracker: the points of a frame turn the tracks before it into the tracks after it.
 
-points -> clutter map -> multi-frame DBSCAN -> claims by boxes -> JPDA -> filter -> extent -> existence -> births.
-Everything is a function of the state and the frame: no clock, no randomness, and budgets are counts.
+points -> clutter map -> multi-frame DBSCAN -> claims by boxes -> JPDA -> filter -> extent -> existence ->
+births. Everything is a function of the state and the frame: no clock, no randomness, and budgets are counts.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
     p = parameters or TrackerParameters()
     return TrackerState(
         tracks=no_tracks(0), window=empty_window(), standing_window=empty_window(), frame_times_us=(),
-        clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="", next_number=1, frames=0, time_us=0,
+        clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="",
+        next_number=1, frames=0, time_us=0,
         range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0,
     )  # fmt: skip
 
@@ -43,7 +44,7 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
 def step(
     state: TrackerState, frame: Frame, parameters: TrackerParameters
 ) -> tuple[TrackerState, TrackEstimates, StepReport]:
-    """Fold one frame, later than all before it, into the state; return it with the confirmed tracks and the counts."""
+    """Fold one frame, later than all before it; return the state, the confirmed tracks and the counts."""
     p = parameters
     bank = make_filter(p.filter, p.filters)
     state = _with_filter(state, bank)
@@ -56,7 +57,7 @@ def step(
 
     tracks, assignment = _track(state, bank, points, label[new:], frame.time_us, p)
     owned = assignment.owner >= 0
-    sure = owned & np.append(tracks.confirmed, False)[assignment.owner]  # noqa: FBT003 - index -1: no owner
+    sure = owned & np.append(tracks.confirmed, False)[assignment.owner]
     window = replace(window, owned=np.concatenate([window.owned[:new], owned]))
     free = ~window.owned & np.concatenate([np.ones(new, dtype=np.bool_), ~no_birth])
     state = replace(state, window=window, tracks=tracks)
@@ -127,7 +128,7 @@ def estimates(tracks: Tracks) -> TrackEstimates:
 
 
 def _with_filter(state: TrackerState, bank: Filter) -> TrackerState:
-    """Return the state with its tracks in the shape of this filter; another filter starts from mean and covariance."""
+    """Return the state with tracks of this filter's shape; a new filter starts from mean and covariance."""
     if state.filter == bank.name:
         return state
     if not len(state.tracks):
@@ -206,10 +207,10 @@ def _track(
 
 
 def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
-    """Return the process noise, larger for tracks whose gate has stayed empty for longer than their echoes explain.
+    """Return the process noise, larger where a gate has stayed empty for longer than misses explain.
 
-    After the recovery rule of the hybrid particle/FIR filter's notes: the variance of position grows with T^2 q and
-    that of velocity with q while the gate is empty, so that a braking vehicle is met again.
+    After the recovery rule of the hybrid particle/FIR filter's notes: the variance of position grows with T^2
+    q and that of velocity with q while the gate is empty, so that a braking vehicle is met again.
     """
     late = (tracks.empty >= p.boxes.widen_after) & (tracks.speed_mps > 2.0)
     late &= tracks.empty > 2.0 / np.maximum(tracks.detect_rate, 0.1)

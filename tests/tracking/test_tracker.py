@@ -17,10 +17,11 @@ PERIOD_US = 50_000
 
 
 def vehicle(rng, x, y, vx, vy, *, length=4.5, width=1.8, points=6):
-    """Points (n, 4) slant range, azimuth, range rate, SNR of a box that drives along y: its near face and its side."""
+    """Points (n, 4), range, azimuth, rate, SNR, of the near face and a side of a box that drives along y."""
     side = points // 3  # seen along the side that faces the radar, the rest on the near face
     u = np.concatenate([np.full(points - side, -length / 2), rng.uniform(-length / 2, length / 2, side)])
-    w = np.concatenate([rng.uniform(-width / 2, width / 2, points - side), np.full(side, -np.sign(x) * width / 2)])
+    face = rng.uniform(-width / 2, width / 2, points - side)
+    w = np.concatenate([face, np.full(side, -np.sign(x) * width / 2)])
     px, py = x + w + rng.normal(0, 0.05, points), y + u + rng.normal(0, 0.1, points)
     return detections(rng, px, py, np.full(points, vx), np.full(points, vy), 25.0)
 
