@@ -13,7 +13,8 @@ import { Status } from "./status.js";
 import { TrackTable } from "./table.js";
 import { SPEED_STOPS_MPS } from "./theme.js";
 
-const SENSORS_PERIOD_MS = 5000;
+const SENSORS_PERIOD_MS = 10_000;
+const SENSORS_EAGER_MS = 1500; // while there is none to show
 const ZOOM_STEP = 1.4;
 
 /**
@@ -79,6 +80,11 @@ async function refreshSensors() {
   }
 }
 
+async function keepLooking() {
+  await refreshSensors();
+  setTimeout(keepLooking, store.state.sensorId === null ? SENSORS_EAGER_MS : SENSORS_PERIOD_MS);
+}
+
 function showSensors() {
   const picker = /** @type {HTMLSelectElement} */ (part("sensor"));
   const { sensors, sensorId } = store.state;
@@ -132,8 +138,9 @@ function bindControls() {
   });
   const sensor = /** @type {HTMLSelectElement} */ (part("sensor"));
   sensor.addEventListener("change", () => {
-    store.prefer({ sensorId: sensor.value });
-    choose(sensor.value);
+    const chosen = sensor.value; // a change of the state puts the picker back to the sensor shown
+    store.prefer({ sensorId: chosen });
+    choose(chosen);
   });
   part("fit").addEventListener("click", () => plan.fit());
   part("zoom-in").addEventListener("click", () => plan.zoom(ZOOM_STEP));
@@ -179,6 +186,5 @@ store.subscribe((state) => {
   showAccess();
 });
 store.set({});
-setInterval(refreshSensors, SENSORS_PERIOD_MS);
 document.addEventListener("visibilitychange", refreshSensors);
-refreshSensors();
+keepLooking();
