@@ -81,7 +81,7 @@ class OrderState:
     former_boots: tuple[tuple[int, str], ...] = ()
     sequence: int | None = None  # newest released number of this boot
     time_us: int | None = None  # of the newest released frame or tick
-    number: int = 0  # newest frame number given out
+    number: int = -1  # newest frame number given out; a radar may count from 0
     number_offset: int = 0  # frame number less the number on the wire
     far_back: int = 0  # frames in a row with a rising number and a time far back
     held: tuple[Frame, ...] = ()  # by number

@@ -44,7 +44,7 @@ def test_a_wrong_setting_is_named(site, filter_name, settings, reason):
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"), [("{", "JSON"), ('{"rate_hz": -1}', "rate_hz"), ("[]", "object")]
+    ("content", "reason"), [("{", "JSON"), ('{"rate_hz": -1}', "rate_hz"), ("[]", "dictionary")]
 )
 def test_a_wrong_site_file_is_named_with_its_fault(tmp_path, content, reason):
     path = tmp_path / "site.json"

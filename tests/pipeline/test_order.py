@@ -169,13 +169,19 @@ def test_a_new_boot_flushes_what_the_old_one_held():
     assert admissions[-1].missing == 1
 
 
+def test_a_radar_that_counts_from_zero_keeps_its_numbers():
+    _, admissions = admit_all(numbered(0, 1, 2))
+
+    assert numbers(admissions) == [0, 1, 2]
+
+
 def test_frames_without_numbers_go_by_their_time():
     first, second = frame(None, START_US), frame(None, START_US + PERIOD_US)
 
     _, admissions = admit_all([first, second, second, first, frame(None, START_US + 10)])
 
     assert fates(admissions) == ["tracked", "tracked", "duplicate", "duplicate", "late"]
-    assert numbers(admissions) == [1, 2]
+    assert numbers(admissions) == [0, 1]
 
 
 def test_a_rising_number_with_a_time_that_does_not_rise_is_late():
