@@ -1,4 +1,4 @@
-"""A small made-up road: vehicles on four lanes, one parked; three points each, at the pace of life."""
+"""A small made-up road: vehicles on four lanes and a parked one, a point each, at the pace of life."""
 
 from __future__ import annotations
 
@@ -17,17 +17,15 @@ PARKED_M = (-9.0, 60.0)
 VEHICLES = DRIVING + 1
 FIRST_M, LAST_M = 25.0, 140.0
 PERIOD_S = 0.05
-POINTS = ((-0.6, 0.0), (0.0, 0.4), (0.6, 0.0))
 
 
 def detections(elapsed_s):
-    centres = [(*PARKED_M, 0.0)]
+    rows = [(*PARKED_M, 0.0)]
     for number in range(DRIVING):
         x_m, speed_mps = LANES[number % len(LANES)]
         start_m = number * (LAST_M - FIRST_M) / DRIVING
         y_m = FIRST_M + (start_m + speed_mps * elapsed_s) % (LAST_M - FIRST_M)
-        centres.append((x_m, y_m, speed_mps))
-    rows = [(x_m + dx_m, y_m + dy_m, speed) for x_m, y_m, speed in centres for dx_m, dy_m in POINTS]
+        rows.append((x_m, y_m, speed_mps))
     x_m, y_m, speed_mps = (list(column) for column in zip(*rows, strict=True))
     return {"x_m": x_m, "y_m": y_m, "radial_velocity_mps": speed_mps, "snr_db": [20.0] * len(rows)}
 

@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 
 from tests.api.serving import serving
 from tests.browser.conftest import PHONE, needed_program
-from tests.browser.stream import PARKED_M, POINTS, SENSOR, VEHICLES, RoadStream
+from tests.browser.stream import PARKED_M, SENSOR, VEHICLES, RoadStream
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -70,7 +70,7 @@ def test_switches_change_what_is_drawn(road, visit):
         wait_for_drawn(page, "trails", SOME)
         wait_for_drawn(page, "points", "0")
         page.get_by_label("Points").check()
-        wait_for_drawn(page, "points", str(VEHICLES * len(POINTS)))
+        wait_for_drawn(page, "points", str(VEHICLES))
         page.get_by_label("Labels").uncheck()
         wait_for_drawn(page, "labels", "0")
         page.get_by_label("Trails").uncheck()
@@ -88,7 +88,7 @@ def test_raw_points_are_asked_for_only_when_they_are_shown(road, visit):
         page.get_by_label("Points").check()
         with page.expect_response(lambda reply: "points=true" in reply.url) as full:
             pass
-        assert len(full.value.json()["points"]["x_m"]) == VEHICLES * len(POINTS)
+        assert len(full.value.json()["points"]["x_m"]) == VEHICLES
 
 
 def test_preferences_outlive_the_page(road, visit):
@@ -175,7 +175,7 @@ def test_health_tells_rate_and_points(road, visit):
     with visit(road.url) as page:
         health = page.locator("#health")
         expect(health).to_contain_text(re.compile(r"Frame rate\s*[12]\d\.\d /s"))
-        expect(health).to_contain_text(re.compile(rf"Points\s*{VEHICLES * len(POINTS)} a frame"))
+        expect(health).to_contain_text(re.compile(rf"Points\s*{VEHICLES} a frame"))
         expect(health).to_contain_text(re.compile(r"Missing\s*0 frames"))
         expect(page.locator("#version")).to_contain_text("Wayside")
 
