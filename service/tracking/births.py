@@ -124,21 +124,31 @@ def gather(rows: list[F64]) -> Births:
 def _best_box(
     x: F64, y: F64, headings: F64, length_m: float, width_m: float
 ) -> tuple[int, float, float, int]:
+    """Return the heading's index and the corner (u, w) of the box that holds most places, and how many.
+
+    For each heading and each place as the box's low end, the places of that length are swept in order of w
+    with a window of the width. The first of equals wins.
+    """
+    n = len(x)
     best = (0, 0.0, 0.0, 0)
+    inside = np.empty(n)
     for h in range(len(headings)):
         s, c = math.sin(headings[h]), math.cos(headings[h])
         u = s * x + c * y
         w = c * x - s * y
-        for a in range(len(u)):
-            for b in range(len(u)):
-                if not (u[a] <= u[b] <= u[a] + length_m):
-                    continue
-                count = 0
-                for k in range(len(u)):
-                    if u[a] <= u[k] <= u[a] + length_m and w[b] <= w[k] <= w[b] + width_m:
-                        count += 1
-                if count > best[3]:
-                    best = (h, u[a], w[b], count)
+        order = np.argsort(w)
+        for a in range(n):
+            count = 0
+            for k in order:
+                if u[a] <= u[k] <= u[a] + length_m:
+                    inside[count] = w[k]
+                    count += 1
+            high = 0
+            for low in range(count):
+                while high < count and inside[high] <= inside[low] + width_m:
+                    high += 1
+                if high - low > best[3]:
+                    best = (h, u[a], inside[low], high - low)
     return best
 
 
