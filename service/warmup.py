@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from service.tracking.association import marginals
 from service.tracking.clustering import dbscan, split_lateral
 from service.tracking.clustering_parameters import ClusteringParameters
+from service.tracking.filters.registry import filter_names, make_filter
 
 
 def _association() -> None:
@@ -25,11 +27,20 @@ def _lateral_split() -> None:
     split_lateral(np.zeros(2, np.int64), np.zeros(2), np.ones(2), np.ones(2), ClusteringParameters())
 
 
+def _filter(name: str) -> None:
+    chosen = make_filter(name)
+    state = chosen.start(np.ones((1, 6)), np.eye(6)[None])
+    prediction = chosen.predict(state, 0.05)
+    expected = chosen.expected(prediction)
+    chosen.update(prediction, expected.z_hat[:, None], np.eye(3)[None, None], np.ones((1, 1)), np.zeros(1))
+
+
 # Name and a call with the smallest input that makes the kernel compile for the types of live use.
 KERNELS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("association", _association),
     ("density clusters", _density_clusters),
     ("lateral split", _lateral_split),
+    *((f"filter {name}", partial(_filter, name)) for name in filter_names()),
 )
 
 

@@ -7,9 +7,12 @@ the filters treat that channel as not measured.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from service.tracking.geometry import wrap_angle
+from service.tracking.kernel import kernel
 from service.tracking.model import F64
 from service.tracking.motion import STATES
 
@@ -22,27 +25,43 @@ NEAREST_M = 0.5
 
 def predict_measurement(mean: F64) -> F64:
     """Return the measurement (..., 3) of the states (..., 6)."""
-    x, vx, y, vy = mean[..., 0], mean[..., 1], mean[..., 3], mean[..., 4]
-    r = _range(x, y)
-    return np.stack([r, np.arctan2(x, y), (x * vx + y * vy) / r], axis=-1)
+    return linearise(mean)[0]
 
 
 def jacobian(mean: F64) -> F64:
-    """Return H = dz/dx (..., 3, 6) at the states (..., 6).
+    """Return H = dz/dx (..., 3, 6) at the states (..., 6)."""
+    return linearise(mean)[1]
+
+
+def linearise(mean: F64) -> tuple[F64, F64]:
+    """Return the measurement z (..., 3) of the states (..., 6) and its derivative H = dz/dx (..., 3, 6).
 
     With the unit vector u = (x, y)/r along the line of sight: dr = u dp; daz = (y dx - x dy)/r^2;
     d(rdot) = u dv + (v - (u v) u)/r dp.
     """
-    x, vx, y, vy = mean[..., 0], mean[..., 1], mean[..., 3], mean[..., 4]
-    r = _range(x, y)
-    ux, uy = x / r, y / r
-    rate = ux * vx + uy * vy
-    H = np.zeros((*mean.shape[:-1], CHANNELS, STATES))
-    H[..., RANGE, 0], H[..., RANGE, 3] = ux, uy
-    H[..., AZIMUTH, 0], H[..., AZIMUTH, 3] = uy / r, -ux / r
-    H[..., RANGE_RATE, 0], H[..., RANGE_RATE, 3] = (vx - rate * ux) / r, (vy - rate * uy) / r
-    H[..., RANGE_RATE, 1], H[..., RANGE_RATE, 4] = ux, uy
-    return H
+    # A copy: a kernel compiles anew for read-only and for strided arrays.
+    states, leading = np.array(mean, np.float64, order="C").reshape(-1, STATES), mean.shape[:-1]
+    z, H = np.empty((*leading, CHANNELS)), np.zeros((*leading, CHANNELS, STATES))
+    _linearise(states, z.reshape(-1, CHANNELS), H.reshape(-1, CHANNELS, STATES))
+    return z, H
+
+
+@kernel
+def _linearise(mean: F64, z: F64, H: F64) -> None:
+    for t in range(len(mean)):
+        x, vx, y, vy = mean[t, 0], mean[t, 1], mean[t, 3], mean[t, 4]
+        r = max(math.hypot(x, y), NEAREST_M)
+        ux, uy = x / r, y / r
+        rate = ux * vx + uy * vy
+        z[t, RANGE] = r
+        z[t, AZIMUTH] = math.atan2(x, y)
+        z[t, RANGE_RATE] = rate
+        H[t, RANGE, 0] = H[t, RANGE_RATE, 1] = ux
+        H[t, RANGE, 3] = H[t, RANGE_RATE, 4] = uy
+        H[t, AZIMUTH, 0] = uy / r
+        H[t, AZIMUTH, 3] = -ux / r
+        H[t, RANGE_RATE, 0] = (vx - rate * ux) / r
+        H[t, RANGE_RATE, 3] = (vy - rate * uy) / r
 
 
 def innovation(z: F64, z_hat: F64) -> F64:
@@ -50,7 +69,3 @@ def innovation(z: F64, z_hat: F64) -> F64:
     e = z - z_hat
     e[..., AZIMUTH] = wrap_angle(e[..., AZIMUTH])
     return e
-
-
-def _range(x: F64, y: F64) -> F64:
-    return np.maximum(np.hypot(x, y), NEAREST_M)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.errors import InvalidInput
+from service.tracking.kernel import kernel
 from service.tracking.model import F64
 
 STATES = 6
@@ -34,8 +35,31 @@ class Motion:
     Q: F64  # (6, 6)
 
     def move(self, mean: F64, cov: F64) -> tuple[F64, F64]:
-        """Return F x (T, 6) and F P F' (T, 6, 6) of a batch of means and covariances."""
-        return mean @ self.F.T, self.F @ cov @ self.F.T
+        """Return F x (T, 6) and F P F' (T, 6, 6) of a batch of means and covariances, exactly symmetric."""
+        # Copies: a kernel compiles anew for read-only and for strided arrays.
+        F, x, P = (np.array(a, np.float64, order="C") for a in (self.F, mean, cov))
+        new_mean, new_cov = np.empty_like(x), np.empty_like(P)
+        _move(F, x, P, new_mean, new_cov)
+        return new_mean, new_cov
+
+
+@kernel
+def _move(F: F64, mean: F64, cov: F64, new_mean: F64, new_cov: F64) -> None:
+    row = np.empty(STATES)  # of F P
+    for t in range(len(mean)):
+        for i in range(STATES):
+            new_mean[t, i] = 0.0
+            for j in range(STATES):
+                new_mean[t, i] += F[i, j] * mean[t, j]
+                row[j] = 0.0
+            for k in range(STATES):
+                for j in range(STATES):
+                    row[j] += F[i, k] * cov[t, k, j]
+            for j in range(i + 1):
+                value = 0.0
+                for k in range(STATES):
+                    value += row[k] * F[j, k]
+                new_cov[t, i, j] = new_cov[t, j, i] = value
 
 
 def constant_acceleration(dt_s: float, accel_std_mps2: float, tau_s: float | None = None) -> Motion:
@@ -54,9 +78,10 @@ def constant_acceleration(dt_s: float, accel_std_mps2: float, tau_s: float | Non
     pieces = max(1, math.ceil(dt_s / LONGEST_STEP_S))
     step_s = dt_s / pieces
     phi = 1.0 if tau_s is None else math.exp(-step_s / tau_s)
-    A = np.array([[1.0, step_s, step_s * step_s / 2], [0.0, 1.0, step_s], [0.0, 0.0, phi]])
-    G = np.array([step_s * step_s / 2, step_s, 1.0])
-    Q = accel_std_mps2**2 * _noise_scale(step_s, tau_s) * np.outer(G, G)
+    jump, half = accel_std_mps2**2 * _noise_scale(step_s, tau_s), step_s * step_s / 2
+    A = np.array([[1.0, step_s, half], [0.0, 1.0, step_s], [0.0, 0.0, phi]])
+    G = np.array([half, step_s, 1.0])
+    Q = jump * (G[:, None] * G)
     F_axis, Q_axis = A, Q
     for _ in range(pieces - 1):
         F_axis, Q_axis = A @ F_axis, A @ Q_axis @ A.T + Q
@@ -93,6 +118,6 @@ def _noise_scale(step_s: float, tau_s: float | None) -> float:
 
 def _both_axes(F_axis: F64, Q_axis: F64) -> Motion:
     F, Q = np.zeros((STATES, STATES)), np.zeros((STATES, STATES))
-    for axis in (slice(0, 3), slice(3, 6)):
-        F[axis, axis], Q[axis, axis] = F_axis, Q_axis
+    F[:3, :3] = F[3:, 3:] = F_axis
+    Q[:3, :3] = Q[3:, 3:] = Q_axis
     return Motion(F, Q)

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.tracking.filters.base import Expected, FilterState, Prediction
-from service.tracking.filters.correction import symmetric, weigh
+from service.tracking.filters.correction import own_prediction, symmetric, weigh
+from service.tracking.filters.correction_kernels import project
 from service.tracking.filters.parameters import EkfParameters
 from service.tracking.filters.robust import correct_robustly
-from service.tracking.measurement import jacobian, predict_measurement
+from service.tracking.measurement import CHANNELS, linearise
 from service.tracking.model import F64
 from service.tracking.motion import Motion, constant_acceleration
 
@@ -41,9 +42,10 @@ class Ekf:
 
     def update(self, prediction: Prediction, z: F64, R: F64, beta: F64, miss: F64) -> FilterState:
         """Return the tracks after the measurements of the frame; see `base.Filter`."""
-        innovations = weigh(z, R, beta, miss, predict_measurement(prediction.mean))
-        H = jacobian(prediction.mean)
-        return correct_robustly(prediction, prediction.cov, H, innovations, self.parameters)
+        own = own_prediction(prediction)
+        z_hat, H = linearise(own.mean)
+        innovations = weigh(z, R, beta, miss, z_hat)
+        return correct_robustly(own, own.cov, H, innovations, self.parameters)
 
 
 def start_bank(mean: F64, cov: F64, memory_size: int) -> FilterState:
@@ -54,11 +56,13 @@ def start_bank(mean: F64, cov: F64, memory_size: int) -> FilterState:
 def predict_bank(state: FilterState, motion: Motion) -> Prediction:
     """Return the tracks moved by one step of a linear motion model."""
     mean, propagated = motion.move(state.mean, state.cov)
-    return Prediction(mean, symmetric(propagated), motion.Q, state.memory)
+    return Prediction(mean, propagated, motion.Q, state.memory)
 
 
 def expect(prediction: Prediction) -> Expected:
     """Return the expected measurement of each predicted track, linearised at its mean."""
-    H = jacobian(prediction.mean)
-    S_prior = H @ prediction.cov @ H.swapaxes(-1, -2)
-    return Expected(predict_measurement(prediction.mean), H, symmetric(S_prior))
+    own = own_prediction(prediction)
+    z_hat, H = linearise(own.mean)
+    S_prior = np.empty((len(H), CHANNELS, CHANNELS))
+    project(H, own.cov, S_prior)
+    return Expected(z_hat, H, S_prior)

@@ -9,37 +9,21 @@ braking leaves the lateral estimate alone.
 
 from __future__ import annotations
 
-import dataclasses
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from service.tracking.filters.base import Expected, FilterState, Prediction
-from service.tracking.filters.correction import weigh
+from service.tracking.filters.correction import own_prediction, weigh
 from service.tracking.filters.ekf import expect, predict_bank, start_bank
-from service.tracking.filters.fading import (
-    GRID_POINTS,
-    Residuals,
-    evidence,
-    grid,
-    residuals,
-    softening,
-)
+from service.tracking.filters.fading import SMOOTHER, Residuals, residuals
+from service.tracking.filters.fading_kernels import AXES, GRID_POINTS, SCORES, axis_factors, fade_axes
 from service.tracking.filters.parameters import AstekfParameters
-from service.tracking.filters.robust import REJECTED, correct_robustly
-from service.tracking.measurement import CHANNELS, NEAREST_M, jacobian, predict_measurement
+from service.tracking.filters.robust import correct_robustly
+from service.tracking.measurement import NEAREST_M, linearise
 from service.tracking.model import F64
-from service.tracking.motion import STATES, constant_acceleration
-
-AXES = 2  # of the line of sight: radial, tangential
-AXIS_OF_CHANNEL = np.array([0, 1, 0])  # range, azimuth, range rate
-DERIVATIVE_OF_CHANNEL = np.array([0, 0, 1])  # range and azimuth see the position, range rate the velocity
-CHANNELS_OF_AXIS = np.eye(AXES)[AXIS_OF_CHANNEL]  # (3, 2) sums channels into axes
-
-# columns of the memory
-COUNT = REJECTED + 1  # measurements so far
-MEAN = slice(COUNT + 1, COUNT + 1 + CHANNELS)  # running mean of the innovation
-SCORES = slice(MEAN.stop, MEAN.stop + AXES * GRID_POINTS)  # of each softening factor, by axis
+from service.tracking.motion import constant_acceleration
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +32,7 @@ class Astekf:
 
     parameters: AstekfParameters = field(default_factory=AstekfParameters)
     name: str = "astekf"
-    memory_size: int = SCORES.stop
+    memory_size: int = SCORES + AXES * GRID_POINTS
 
     def start(self, mean: F64, cov: F64) -> FilterState:
         """Return new tracks; see `base.Filter`."""
@@ -68,87 +52,36 @@ class Astekf:
 
         Without a measurement the prediction is unfaded and the memory unchanged.
         """
-        p = self.parameters
-        H = jacobian(prediction.mean)
-        innovations = weigh(z, R, beta, miss, predict_measurement(prediction.mean))
-        seen = residuals(evidence(innovations), prediction.propagated, prediction.noise, H, p.clip)
-        factors, memory = fading_factors(seen, prediction.memory, p)
-        faded = fade(prediction.propagated, prediction.mean, factors) + prediction.noise
-        return correct_robustly(dataclasses.replace(prediction, memory=memory), faded, H, innovations, p)
+        p, own = self.parameters, own_prediction(prediction)
+        z_hat, H = linearise(own.mean)
+        innovations = weigh(z, R, beta, miss, z_hat)
+        factors = fading_factors(residuals(innovations, own, H, p.clip), own.memory, p)
+        return correct_robustly(own, fade(own, factors), H, innovations, p)
 
 
-def fading_factors(seen: Residuals, memory: F64, p: AstekfParameters) -> tuple[F64, F64]:
-    """Return the factors lambda (T, 2, 3) by axis and derivative, and the new memory.
+def fading_factors(seen: Residuals, memory: F64, p: AstekfParameters) -> F64:
+    """Return the factors lambda (T, 2, 3) by axis and derivative, and update the memory in place.
 
     Per axis, over its measured channels j with the shares w_j: V_j = (2-g)/g mean_j^2, equal to S_j while the
     innovations are white;  c = (sum V_j/R_j - b n - sum q_j/R_j) / sum w_j m_j/R_j;  lambda_i =
-    clip(alpha_i c).
+    clip(alpha_i c). The softening factor b of an axis is the largest candidate whose score is as good as the
+    best. A candidate's score sums log var_j + e_j^2/var_j, var_j = lambda m_j + q_j + R_j, with lambda from
+    the statistic before this frame; it is proper: the true variance has the least expected score.
     """
-    alpha = np.array([p.alpha_position, p.alpha_velocity, p.alpha_acceleration])
-    gain = p.statistic_gain
-    share = alpha[DERIVATIVE_OF_CHANNEL]
-    per_R = seen.used / seen.R
-    old_mean = memory[:, MEAN]
-    pull = gain * seen.used
-    new_mean = (1.0 - pull) * old_mean + pull * np.sqrt(seen.shorten) * seen.e
-
-    spread = (per_R * share * seen.m) @ CHANNELS_OF_AXIS
-    spread = np.where(spread > 0.0, spread, 1.0)  # no channel: all sums are zero, and so is c
-    channels = seen.used @ CHANNELS_OF_AXIS
-    noise = (per_R * seen.q) @ CHANNELS_OF_AXIS
-    white = (2.0 - gain) / gain
-    old_excess = (white * per_R * old_mean * old_mean) @ CHANNELS_OF_AXIS - noise
-    new_excess = (white * per_R * new_mean * new_mean) @ CHANNELS_OF_AXIS - noise
-
-    updated = memory.copy()
-    updated[:, MEAN] = new_mean
-    updated[:, COUNT] += channels.any(axis=1)
-    if p.softening_fixed is None:
-        b = grid(p.softening_step)
-        c = (old_excess[:, :, None] - channels[:, :, None] * b) / spread[:, :, None]
-        scores = memory[:, SCORES].reshape(len(memory), AXES, GRID_POINTS)
-        scored = (channels > 0.0) & (memory[:, COUNT] > 0.0)[:, None]
-        scores = np.where(
-            scored[:, :, None], p.score_forgetting * scores + _surprise(seen, c, share, p), scores
-        )
-        updated[:, SCORES] = scores.reshape(len(memory), AXES * GRID_POINTS)
-        young = (memory[:, COUNT] < p.warm_up)[:, None]
-        chosen = np.where(young, p.softening_start, softening(scores, p.softening_step, p.score_tolerance))
-    else:
-        chosen = np.full(channels.shape, p.softening_fixed)
-    c = (new_excess - chosen * channels) / spread
-    return np.clip(alpha * c[:, :, None], 1.0, p.lambda_max), updated
+    alpha = np.array([p.alpha_position, p.alpha_velocity, p.alpha_acceleration], np.float64)
+    fixed = math.nan if p.softening_fixed is None else float(p.softening_fixed)
+    return axis_factors(
+        seen.e, seen.R, seen.used, seen.m, seen.q, seen.shorten, memory, alpha, float(p.statistic_gain),
+        float(p.lambda_max), fixed, float(p.softening_start), float(p.softening_step), p.warm_up,
+        float(p.score_forgetting), float(p.score_tolerance), SMOOTHER,
+    )  # fmt: skip
 
 
-def fade(cov: F64, mean: F64, factors: F64) -> F64:
-    """Return W C W' (T, 6, 6): the spread along and across the line of sight, multiplied by the factors.
+def fade(prediction: Prediction, factors: F64) -> F64:
+    """Return W F P F' W' + Q (T, 6, 6): the spread along and across the line of sight times the factors.
 
     For each derivative the 2x2 block of W in x, y is sqrt(l_radial) u u' + sqrt(l_tangential) t t', with u
     the unit vector to the target and t normal to it; a congruence keeps C symmetric and positive definite.
     factors: (T, 2, 3) by axis and derivative, each >= 1.
     """
-    root = np.sqrt(factors)
-    along, across = root[:, 0], root[:, 1]
-    u = mean[:, (0, 3)] / np.maximum(np.hypot(mean[:, 0], mean[:, 3]), NEAREST_M)[:, None]
-    # written as across * identity + (along - across) u u', which is the identity without fading
-    extra = along - across
-    W = np.zeros((len(mean), STATES, STATES))
-    for i in range(STATES // 2):
-        x, y = i, i + STATES // 2
-        W[:, x, x] = across[:, i] + extra[:, i] * u[:, 0] * u[:, 0]
-        W[:, y, y] = across[:, i] + extra[:, i] * u[:, 1] * u[:, 1]
-        W[:, x, y] = W[:, y, x] = extra[:, i] * u[:, 0] * u[:, 1]
-    return W @ cov @ W
-
-
-def _surprise(seen: Residuals, c: F64, share: F64, p: AstekfParameters) -> F64:
-    """Return the predictive score (T, 2, 10) of each candidate, whose factors follow from c (T, 2, 10).
-
-    The score is log var + e^2/var summed over the channels of the axis; it is proper: the true variance has
-    the least expected score.
-    """
-    factor = np.clip(share[:, None] * c[:, AXIS_OF_CHANNEL], 1.0, p.lambda_max)
-    variance = factor * seen.m[:, :, None] + (seen.q + seen.R)[:, :, None]
-    squared = (seen.shorten * seen.e * seen.e)[:, :, None]
-    score = seen.used[:, :, None] * (np.log(variance) + squared / variance)
-    return np.stack([score[:, 0] + score[:, 2], score[:, 1]], axis=1)
+    return fade_axes(prediction.propagated, prediction.noise, prediction.mean, factors, NEAREST_M)
