@@ -76,6 +76,7 @@ class ExistenceParameters:
     # a confirmed track that stands where nobody drives, and gives few points, is a post
     post_after_s: float = 1.0
     post_travel_m: float = 15.0
+    post_points: float = 1.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +216,7 @@ def judge(
         around.known_road,
         (p.confirm_log_odds, p.delete_log_odds, p.standing_mps, p.slow_range_rate_mps, p.slow_travel_m,
         p.slow_points,
-         p.few_points, p.post_after_s, p.post_travel_m, float(p.settled_hits)),
+         p.post_points, p.post_after_s, p.post_travel_m, float(p.settled_hits)),
         (p.coast_s, p.coast_shadowed_s, p.coast_standing_s, p.coast_tentative_s, p.coast_young_s,
         p.coast_per_hit_s),
         status, over,
@@ -300,7 +301,7 @@ def _judge(
         slow_rate,
         slow_travel,
         slow_points,
-        few_points,
+        post_points,
         post_after,
         post_travel,
         settled,
@@ -324,7 +325,7 @@ def _judge(
         silent = (time_us - hit_us[i]) / 1e6 > limit + 1e-9
         patient = sure and hits[i] >= settled and (standing or hidden[i])
         unlikely = log_odds[i] < delete and not patient
-        post = standing and not driven[i] and travel < post_travel and points[i] < few_points
+        post = standing and not driven[i] and travel < post_travel and points[i] < post_points
         post = post and (time_us - born_us[i]) / 1e6 > post_after
         over[i] = silent or unlikely or post
 
