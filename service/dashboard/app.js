@@ -176,7 +176,10 @@ new TrackTable(part("tracks"), store);
 new Details(part("details"), store);
 new Health({ list: part("health"), failure: part("failure"), version: part("version") }, store);
 new EmptyState(part("empty"), store);
-new Status({ state: part("state"), banner: part("banner"), age: part("banner-age"), stage: part("stage") }, store);
+new Status(
+  { state: part("state"), banner: part("banner"), age: part("banner-age"), picture: part("main") },
+  store,
+);
 new SignIn(part("sign-in"), store);
 store.subscribe((state) => {
   poll.points = state.preferences.points;

@@ -40,8 +40,8 @@ export class Health {
     if (document.hidden || (access !== "open" && access !== "session")) return;
     try {
       this.#reply = await readJson("healthz");
+      const atMs = performance.now(); // close to the time of counting; the reply may wait for a busy page
       const response = await request("metrics", { headers: { Accept: "text/plain" } });
-      const atMs = performance.now(); // before the body is read: rates need the time of counting
       const text = await response.text();
       if (sensorId !== null && sensorId === this.#sensorId) this.#rates.add(countersOf(text, sensorId), atMs);
     } catch (error) {
@@ -72,8 +72,8 @@ export class Health {
       { name: "Frame rate", value: numberText(rates.framesPerS, 1, "/s"), hint: "Frames tracked, over ten seconds" },
       { name: "Points", value: numberText(rates.pointsPerFrame, 0, "a frame") },
       { name: "Last frame", value: agoText(sensor?.frame_age_s), bad: sensor?.state === "stale" },
-      { name: "Backlog", value: queue === null ? NONE : `${queue} frames`, hint: "Logged and not tracked yet", bad: queue > QUEUE_LONG },
-      { name: "Missing", value: rates.missing === null ? NONE : `${rates.missing} frames`, hint: "Frame numbers that never came, since the server started" },
+      { name: "Backlog", value: framesText(queue), hint: "Logged and not tracked yet", bad: queue > QUEUE_LONG },
+      { name: "Missing", value: framesText(rates.missing), hint: "Frame numbers that never came, since the server started" },
       { name: "Stored", value: agoText(sensor?.stored_age_s), bad: sensor?.state === "live" && sensor.stored_age_s > STORED_LATE_S },
       { name: "Clock", value: clockText(ahead), hint: "The sensor's clock against the server's, transport included", bad: Math.abs(ahead ?? 0) > CLOCK_OFF_S },
       { name: "Log", value: bytesText(this.#reply?.log_bytes), hint: "Frames kept on disk, of all sensors" },
@@ -92,6 +92,12 @@ export class Health {
 /** @param {number | null | undefined} ageS */
 function agoText(ageS) {
   return ageS == null ? NONE : `${durationText(ageS)} ago`;
+}
+
+/** @param {number | null} count */
+function framesText(count) {
+  if (count === null) return NONE;
+  return count === 1 ? "1 frame" : `${count} frames`;
 }
 
 /** @param {number | null} aheadS */

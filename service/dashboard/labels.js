@@ -21,21 +21,20 @@ export class Labels {
    * @param {import("./theme.js").Theme} theme
    * @param {Drawn[]} vehicles
    * @param {import("./format.js").Unit} unit
-   * @param {string | null} selected
    * @param {Rect[]} obstacles other things that are written there
    * @returns {number} how many labels found a place
    */
-  draw(pen, theme, vehicles, unit, selected, obstacles) {
+  draw(pen, theme, vehicles, unit, obstacles) {
     const taken = [...obstacles, ...vehicles.map(outline)];
     const middlePx = vehicles.reduce((sum, vehicle) => sum + vehicle.left, 0) / Math.max(vehicles.length, 1);
     const sides = new Map();
     pen.textBaseline = "middle";
     pen.textAlign = "left";
     pen.lineJoin = "round";
-    const first = [...vehicles].sort((a, b) => Number(b.track.track_id === selected) - Number(a.track.track_id === selected));
+    const first = [...vehicles].sort((a, b) => b.ringPx - a.ringPx); // the selected one chooses its place
     for (const vehicle of first) {
       const label = measured(pen, vehicle, unit);
-      const side = this.#side(vehicle, label.widthPx, taken, middlePx, vehicle.track.track_id === selected);
+      const side = this.#side(vehicle, label.widthPx, taken, middlePx, vehicle.ringPx > 0);
       if (side === null) continue;
       const rect = rectAt(vehicle, label.widthPx, side);
       taken.push(rect);
@@ -116,12 +115,12 @@ function rectAt(vehicle, widthPx, side) {
 
 /**
  * @param {Drawn} vehicle
- * @returns {Rect} around the turned box
+ * @returns {Rect} around the turned box, or the ring
  */
-function outline({ left, top, lengthPx, widthPx, headingRad }) {
+function outline({ left, top, lengthPx, widthPx, headingRad, ringPx }) {
   const [sine, cosine] = [Math.abs(Math.sin(headingRad)), Math.abs(Math.cos(headingRad))];
-  const acrossPx = (widthPx * cosine + lengthPx * sine) / 2;
-  const alongPx = (lengthPx * cosine + widthPx * sine) / 2;
+  const acrossPx = Math.max((widthPx * cosine + lengthPx * sine) / 2, ringPx);
+  const alongPx = Math.max((lengthPx * cosine + widthPx * sine) / 2, ringPx);
   return { left: left - acrossPx, top: top - alongPx, right: left + acrossPx, bottom: top + alongPx };
 }
 

@@ -119,15 +119,15 @@ export class Plan {
     pen.setTransform(this.#pixelRatio, 0, 0, this.#pixelRatio, 0, 0);
     const names = drawScenery(pen, view, theme, this.store.sensor);
     const aheadS = this.#aheadS();
-    this.#drawn = (live?.tracks ?? []).map((track) => placed(view, track, aheadS));
+    this.#drawn = (live?.tracks ?? []).map((track) => placed(view, track, aheadS, track.track_id === selected));
     const byId = new Map(this.#drawn.map((drawn) => [drawn.track.track_id, drawn]));
     const trails = preferences.trails ? this.#trails.recent(nowMs) : [];
     drawTrails(pen, view, theme, trails, byId, nowMs);
     const points = preferences.points && live?.points ? drawPoints(pen, view, theme, live.points) : 0;
     for (const drawn of this.#drawn) drawEllipse(pen, view, theme, drawn);
-    for (const drawn of this.#drawn) drawBox(pen, theme, drawn, drawn.track.track_id === selected);
+    for (const drawn of this.#drawn) drawBox(pen, theme, drawn);
     const labels = preferences.labels
-      ? this.#labels.draw(pen, theme, this.#drawn, preferences.units, selected, names)
+      ? this.#labels.draw(pen, theme, this.#drawn, preferences.units, names)
       : 0;
     this.#tell({ tracks: this.#drawn.length, points, labels, trails: trails.length, version: live?.version ?? "" });
   }

@@ -16,7 +16,7 @@ const WORDS = {
 /** Shows it, and keeps the age in the banner going. */
 export class Status {
   /**
-   * @param {{state: HTMLElement, banner: HTMLElement, age: HTMLElement, stage: HTMLElement}} places
+   * @param {{state: HTMLElement, banner: HTMLElement, age: HTMLElement, picture: HTMLElement}} places
    * @param {import("./state.js").Store} store
    */
   constructor(places, store) {
@@ -28,7 +28,7 @@ export class Status {
 
   #show() {
     const { access, sensors, sensorId } = this.store.state;
-    const { state, banner, age, stage } = this.places;
+    const { state, banner, age, picture } = this.places;
     const freshness = sensors?.length === 0 && this.store.freshness === "starting" ? "waiting" : this.store.freshness;
     const text = access === "signed-out" ? "" : this.#bannerText(freshness);
     state.hidden = access === "signed-out";
@@ -40,7 +40,7 @@ export class Status {
     if (banner.textContent !== text) banner.textContent = text;
     age.textContent = text === "" ? "" : `(${wholeSeconds(this.#silentS(freshness))})`;
     /** @type {HTMLElement} */ (banner.parentElement).hidden = text === "";
-    stage.classList.toggle("stale", text !== "");
+    picture.classList.toggle("stale", text !== "");
     const mark = text === "" ? "" : "⚠ ";
     document.title = `${mark}${sensorId === null ? "" : `${sensorId} · `}Wayside`;
   }
@@ -49,9 +49,9 @@ export class Status {
   #bannerText(freshness) {
     const { sensorId, live } = this.store.state;
     if (freshness === "unreachable") {
-      return `The server cannot be reached.${live === null ? "" : " The picture is old."} Trying again.`;
+      return `The server cannot be reached.${live === null ? "" : " The picture is out of date."} Trying again.`;
     }
-    return freshness === "stale" ? `No frames from ${sensorId}. The picture is the last one known.` : "";
+    return freshness === "stale" ? `No frames from ${sensorId}. The picture is out of date.` : "";
   }
 
   /** @param {string} freshness */

@@ -8,6 +8,7 @@ const WIDTH_USUAL_M = 1.8;
 const LENGTH_MIN_PX = 11; // else a vehicle is not seen on a phone
 const WIDTH_MIN_PX = 5.5;
 const NOSE = 0.3; // share of the length that the arrow at the front takes
+const RING_GAP_PX = 7; // between a selected vehicle and the ring around it
 const STILL_MPS = 0.5; // radial velocity below which a point may be scenery
 
 /**
@@ -18,23 +19,27 @@ const STILL_MPS = 0.5; // radial velocity below which a point may be scenery
  * @property {number} lengthPx
  * @property {number} widthPx
  * @property {number} headingRad
+ * @property {number} ringPx radius of the ring around a selected vehicle, 0 around others
  */
 
 /**
  * @param {import("./view.js").View} view
  * @param {import("./state.js").Track} track
  * @param {number} aheadS time for which it moves on at its speed
+ * @param {boolean} selected
  * @returns {Drawn}
  */
-export function placed(view, track, aheadS) {
+export function placed(view, track, aheadS, selected) {
   const heading = track.heading_deg ?? (Math.atan2(track.vx_mps, track.vy_mps) * 180) / Math.PI;
+  const lengthPx = Math.max((track.length_m ?? LENGTH_USUAL_M) * view.scale, LENGTH_MIN_PX);
   return {
     track,
     left: view.left(track.x_m + track.vx_mps * aheadS),
     top: view.top(track.y_m + track.vy_mps * aheadS),
-    lengthPx: Math.max((track.length_m ?? LENGTH_USUAL_M) * view.scale, LENGTH_MIN_PX),
+    lengthPx,
     widthPx: Math.max((track.width_m ?? WIDTH_USUAL_M) * view.scale, WIDTH_MIN_PX),
     headingRad: (heading * Math.PI) / 180,
+    ringPx: selected ? lengthPx / 2 + RING_GAP_PX : 0,
   };
 }
 
@@ -115,9 +120,8 @@ export function drawEllipse(pen, view, theme, { track, left, top }) {
  * @param {CanvasRenderingContext2D} pen
  * @param {import("./theme.js").Theme} theme
  * @param {Drawn} drawn
- * @param {boolean} selected
  */
-export function drawBox(pen, theme, { track, left, top, lengthPx, widthPx, headingRad }, selected) {
+export function drawBox(pen, theme, { track, left, top, lengthPx, widthPx, headingRad, ringPx }) {
   const colour = theme.speed(track.speed_mps);
   const [front, side] = [-lengthPx / 2, widthPx / 2];
   pen.save();
@@ -149,7 +153,7 @@ export function drawBox(pen, theme, { track, left, top, lengthPx, widthPx, headi
   pen.lineWidth = 1.5;
   pen.stroke();
   pen.restore();
-  if (selected) drawSelection(pen, theme, left, top, Math.hypot(lengthPx, widthPx) / 2 + 6);
+  if (ringPx > 0) drawRing(pen, theme, left, top, ringPx);
 }
 
 /**
@@ -159,7 +163,7 @@ export function drawBox(pen, theme, { track, left, top, lengthPx, widthPx, headi
  * @param {number} top
  * @param {number} radiusPx
  */
-function drawSelection(pen, theme, left, top, radiusPx) {
+function drawRing(pen, theme, left, top, radiusPx) {
   pen.beginPath();
   pen.arc(left, top, radiusPx, 0, 2 * Math.PI);
   pen.strokeStyle = theme.mark;

@@ -72,8 +72,9 @@ def visit(chromium):
     """Open pages; at the end none may have had an error or a violation of the security policy."""
 
     @contextmanager
-    def open_page(url, *, size=DESKTOP, expected=(), route=None, **options):
-        context = chromium.new_context(viewport=size, **options)
+    def open_page(url, *, size=DESKTOP, motion="reduce", expected=(), route=None, **options):
+        # Without smooth motion the page draws eight times a second, not thirty: software drawing is slow.
+        context = chromium.new_context(viewport=size, reduced_motion=motion, **options)
         context.set_default_timeout(PATIENCE_MS)
         context.add_init_script(VIOLATIONS)
         page = context.new_page()
