@@ -97,14 +97,14 @@ def axis_factors(
     forgetting: float,
     tolerance: float,
     smoother: F64,
-) -> F64:
-    """Return the factors (T, 2, 3) by axis and derivative, and update the memory (T, 25) in place.
+    factors: F64,
+) -> None:
+    """Write the factors (T, 2, 3) by axis and derivative, and update the memory (T, 25) in place.
 
     Formulas and arguments: `strong_tracking.fading_factors`; fixed: softening factor, NaN to search it.
     """
-    tracks = len(memory)
-    factors, white = np.empty((tracks, AXES, DERIVATIVES)), (2.0 - gain) / gain
-    for t in range(tracks):
+    white = (2.0 - gain) / gain
+    for t in range(len(memory)):
         root, count = np.sqrt(shorten[t]), memory[t, COUNT]
         for axis in range(AXES):
             spread = channels = noise = old = new = 0.0
@@ -141,13 +141,12 @@ def axis_factors(
                 factors[t, axis, i] = min(max(alpha[i] * c, 1.0), largest)
         if used[t, 0] + used[t, 1] + used[t, 2] > 0.0:
             memory[t, COUNT] = count + 1.0
-    return factors
 
 
 @kernel
-def fade_axes(propagated: F64, noise: F64, mean: F64, factors: F64, nearest_m: float) -> F64:
-    """Return W (F P F') W' + Q (T, 6, 6); see `strong_tracking.fade`."""
-    faded, W = np.empty(propagated.shape), np.empty((DERIVATIVES, AXES, AXES))
+def fade_axes(propagated: F64, noise: F64, mean: F64, factors: F64, nearest_m: float, faded: F64) -> None:
+    """Write W (F P F') W' + Q (T, 6, 6); see `strong_tracking.fade`."""
+    W = np.empty((DERIVATIVES, AXES, AXES))
     for t in range(len(mean)):
         P, Q, x, y = propagated[t], noise[min(t, len(noise) - 1)], mean[t, 0], mean[t, 3]
         r = max(np.hypot(x, y), nearest_m)
@@ -166,11 +165,10 @@ def fade_axes(propagated: F64, noise: F64, mean: F64, factors: F64, nearest_m: f
                 y_part = W[i, p, 0] * P[i, k + 3] + W[i, p, 1] * P[i + 3, k + 3]
                 value = x_part * W[k, s, 0] + y_part * W[k, s, 1] + Q[row, column]
                 faded[t, row, column] = faded[t, column, row] = value
-    return faded
 
 
 @kernel
-def state_factors(
+def fade_states(
     e: F64,
     R: F64,
     used: F64,
@@ -190,32 +188,42 @@ def state_factors(
     forgetting: float,
     tolerance: float,
     smoother: F64,
-) -> F64:
-    """Return the faded covariance L^1/2 F P F' L^1/2 + Q (T, 6, 6), and update the memory in place.
+    faded: F64,
+) -> None:
+    """Write the covariance L^1/2 F P F' L^1/2 + Q (T, 6, 6), and update the memory in place.
 
     Formulas and arguments: `strong_tracking_paper.fade`; fixed: softening factor, NaN to search it.
     """
-    tracks = len(memory)
-    faded, root, PHt = np.empty(propagated.shape), np.empty(DERIVATIVES), np.empty((STATES, CHANNELS))
-    S, L, v = np.empty((CHANNELS, CHANNELS)), np.zeros((CHANNELS, CHANNELS)), np.empty(CHANNELS)
-    for t in range(tracks):
-        P, Q, h, count = propagated[t], noise[min(t, len(noise) - 1)], H[t], memory[t, COUNT]
+    # S = sum over derivatives d, f of root_d root_f parts[:, :, d, f], and a rest that does not fade
+    parts = np.empty((CHANNELS, CHANNELS, DERIVATIVES, DERIVATIVES))
+    rest, L = np.empty((CHANNELS, CHANNELS)), np.empty((CHANNELS, CHANNELS))
+    root, white = np.empty(DERIVATIVES), np.empty(CHANNELS)
+    for t in range(len(memory)):
+        Q, count = noise[min(t, len(noise) - 1)], memory[t, COUNT]
+        for a in range(CHANNELS):
+            for b in range(a + 1):
+                rest[a, b] = R[t, a] * (a == b)
+                for d in range(DERIVATIVES):
+                    for f in range(DERIVATIVES):
+                        parts[a, b, d, f] = 0.0
+                for i in range(STATES):
+                    for k in range(STATES):
+                        both = H[t, a, i] * H[t, b, k]
+                        rest[a, b] += both * Q[i, k]
+                        parts[a, b, i % DERIVATIVES, k % DERIVATIVES] += both * propagated[t, i, k]
         spread = channels = old = new = 0.0
         for a in range(CHANNELS):
-            if used[t, a] == 0.0:
-                continue
-            before, squared = memory[t, STATISTIC + a], shorten[t] * e[t, a] * e[t, a]
-            after = squared if count == 0.0 else (remembrance * before + squared) / (1.0 + remembrance)
-            memory[t, STATISTIC + a] = after
-            channels += 1.0
-            old += (before - q[t, a]) / R[t, a]
-            new += (after - q[t, a]) / R[t, a]
-            for i in range(STATES):
-                total = 0.0
-                for k in range(STATES):
-                    total += P[i, k] * h[a, k]
-                spread += alpha[i % DERIVATIVES] * total * h[a, i] / R[t, a]
-        if not (spread > 0.0):
+            if used[t, a] > 0.0:
+                before, squared = memory[t, STATISTIC + a], shorten[t] * e[t, a] ** 2
+                after = squared if count == 0.0 else (remembrance * before + squared) / (1.0 + remembrance)
+                memory[t, STATISTIC + a] = after
+                channels += 1.0
+                old += (before - q[t, a]) / R[t, a]
+                new += (after - q[t, a]) / R[t, a]
+                for d in range(DERIVATIVES):
+                    for f in range(DERIVATIVES):
+                        spread += alpha[d] * parts[a, a, d, f] / R[t, a]
+        if not (spread > 0.0):  # no channel: all sums are zero, and so is c
             spread = 1.0
         chosen = fixed
         if np.isnan(fixed):
@@ -223,42 +231,34 @@ def state_factors(
                 if channels == 0.0 or count == 0.0:
                     break
                 c, score = (old - channels * (1.0 + step * n)) / spread, 0.0
-                for i in range(DERIVATIVES):
-                    root[i] = np.sqrt(min(max(alpha[i] * c, 1.0), largest))
-                for i in range(STATES):
-                    for a in range(CHANNELS):
-                        PHt[i, a] = 0.0
-                        for k in range(STATES):
-                            faded_P = root[i % DERIVATIVES] * root[k % DERIVATIVES] * P[i, k] + Q[i, k]
-                            PHt[i, a] += faded_P * h[a, k]
-                for a in range(CHANNELS):  # Cholesky of S over the measured channels, e whitened with it
-                    if used[t, a] == 0.0:
-                        L[a, 0] = L[a, 1] = L[a, 2] = v[a] = 0.0
-                        continue
-                    v[a] = np.sqrt(shorten[t]) * e[t, a]
+                for d in range(DERIVATIVES):
+                    root[d] = np.sqrt(min(max(alpha[d] * c, 1.0), largest))
+                for a in range(CHANNELS):  # Cholesky of S, where an unmeasured channel is apart
+                    white[a] = np.sqrt(shorten[t]) * e[t, a]
                     for b in range(a + 1):
-                        S[a, b] = R[t, a] if a == b else 0.0
-                        for k in range(STATES):
-                            S[a, b] += h[a, k] * PHt[k, b]
+                        value = rest[a, b]
+                        for d in range(DERIVATIVES):
+                            for f in range(DERIVATIVES):
+                                value += root[d] * root[f] * parts[a, b, d, f]
+                        value = used[t, a] * used[t, b] * value + (1.0 - used[t, a]) * (a == b)
                         for k in range(b):
-                            S[a, b] -= L[a, k] * L[b, k]
+                            value -= L[a, k] * L[b, k]
                         if b < a:
-                            L[a, b] = S[a, b] / L[b, b] if used[t, b] > 0.0 else 0.0
-                            v[a] -= L[a, b] * v[b]
-                    L[a, a] = np.sqrt(S[a, a])
-                    v[a] /= L[a, a]
-                    score += np.log(S[a, a]) + v[a] * v[a]
+                            L[a, b] = value / L[b, b]
+                            white[a] -= L[a, b] * white[b]
+                        else:
+                            L[a, a] = np.sqrt(value)
+                            white[a] /= L[a, a]
+                            score += np.log(value) + white[a] ** 2
                 memory[t, SCORES + n] = forgetting * memory[t, SCORES + n] + score
             chosen = start
             if count >= warm_up:
                 chosen = soften(memory[t, SCORES : SCORES + GRID_POINTS], smoother, step, tolerance)
         c = (new - chosen * channels) / spread
-        for i in range(DERIVATIVES):
-            root[i] = np.sqrt(min(max(alpha[i] * c, 1.0), largest))
+        for d in range(DERIVATIVES):
+            root[d] = np.sqrt(min(max(alpha[d] * c, 1.0), largest))
         for i in range(STATES):
-            for k in range(i + 1):
-                value = root[i % DERIVATIVES] * root[k % DERIVATIVES] * P[i, k] + Q[i, k]
-                faded[t, i, k] = faded[t, k, i] = value
+            for k in range(STATES):
+                faded[t, i, k] = root[i % DERIVATIVES] * root[k % DERIVATIVES] * propagated[t, i, k] + Q[i, k]
         if channels > 0.0:
             memory[t, COUNT] = count + 1.0
-    return faded

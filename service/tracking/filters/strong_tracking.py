@@ -70,11 +70,13 @@ def fading_factors(seen: Residuals, memory: F64, p: AstekfParameters) -> F64:
     """
     alpha = np.array([p.alpha_position, p.alpha_velocity, p.alpha_acceleration], np.float64)
     fixed = math.nan if p.softening_fixed is None else float(p.softening_fixed)
-    return axis_factors(
+    factors = np.empty((len(memory), AXES, len(alpha)))
+    axis_factors(
         seen.e, seen.R, seen.used, seen.m, seen.q, seen.shorten, memory, alpha, float(p.statistic_gain),
         float(p.lambda_max), fixed, float(p.softening_start), float(p.softening_step), p.warm_up,
-        float(p.score_forgetting), float(p.score_tolerance), SMOOTHER,
+        float(p.score_forgetting), float(p.score_tolerance), SMOOTHER, factors,
     )  # fmt: skip
+    return factors
 
 
 def fade(prediction: Prediction, factors: F64) -> F64:
@@ -84,4 +86,6 @@ def fade(prediction: Prediction, factors: F64) -> F64:
     the unit vector to the target and t normal to it; a congruence keeps C symmetric and positive definite.
     factors: (T, 2, 3) by axis and derivative, each >= 1.
     """
-    return fade_axes(prediction.propagated, prediction.noise, prediction.mean, factors, NEAREST_M)
+    p, faded = prediction, np.empty_like(prediction.propagated)
+    fade_axes(p.propagated, p.noise, p.mean, factors, NEAREST_M, faded)
+    return faded

@@ -22,7 +22,7 @@ from service.tracking.filters.base import Expected, FilterState, Prediction
 from service.tracking.filters.correction import Innovations, own_prediction, weigh
 from service.tracking.filters.ekf import expect, predict_bank, start_bank
 from service.tracking.filters.fading import SMOOTHER, residuals
-from service.tracking.filters.fading_kernels import GRID_POINTS, SCORES, state_factors
+from service.tracking.filters.fading_kernels import GRID_POINTS, SCORES, fade_states
 from service.tracking.filters.parameters import AstekfPaperParameters, StekfParameters
 from service.tracking.filters.robust import correct_robustly
 from service.tracking.measurement import linearise
@@ -110,9 +110,11 @@ def fade(prediction: Prediction, innovations: Innovations, H: F64, p: AstekfPape
     seen = residuals(innovations, prediction, H, p.clip)
     alpha = np.array([p.alpha_position, p.alpha_velocity, p.alpha_acceleration], np.float64)
     fixed = math.nan if p.softening_fixed is None else float(p.softening_fixed)
-    return state_factors(
+    faded = np.empty_like(prediction.propagated)
+    fade_states(
         seen.e, seen.R, seen.used, seen.q, seen.shorten, prediction.memory,
         prediction.propagated, prediction.noise, H, alpha, float(p.forgetting), float(p.lambda_max), fixed,
         float(p.softening_start), float(p.softening_step), p.warm_up, float(p.score_forgetting),
-        float(p.score_tolerance), SMOOTHER,
+        float(p.score_tolerance), SMOOTHER, faded,
     )  # fmt: skip
+    return faded

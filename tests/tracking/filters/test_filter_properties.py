@@ -1,13 +1,17 @@
 """What holds for every filter, whatever it meets."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.registry import CPUDispatcher
 
-from service.tracking.filters.base import join
+from service.tracking import measurement, motion
+from service.tracking.filters import correction_kernels, fading_kernels
+from service.tracking.filters.base import FilterState, Prediction, join
 from service.tracking.filters.registry import filter_names, make_filter
 from service.tracking.measurement import predict_measurement
 from service.tracking.start import initial_state, undirected_prior
@@ -140,16 +144,81 @@ def test_no_tracks_are_a_bank_too(name):
     chosen = make_filter(name)
     state = chosen.start(np.zeros((0, 6)), np.zeros((0, 6, 6)))
 
-    state = chosen.update(
-        chosen.predict(state, 0.05),
-        np.zeros((0, 2, 3)),
-        np.zeros((0, 2, 3, 3)),
-        np.zeros((0, 2)),
-        np.zeros(0),
-    )
+    prediction = chosen.predict(state, 0.05)
+    own_noise = dataclasses.replace(prediction, noise=np.zeros((0, 6, 6)))
+    for many in (0, 2):
+        for bank in (prediction, own_noise):
+            expected = chosen.expected(bank)
+            scan = np.zeros((0, many, 3)), np.zeros((0, many, 3, 3)), np.zeros((0, many)), np.zeros(0)
+            state = chosen.update(bank, *scan)
 
-    assert len(state) == 0
-    assert state.memory.shape == (0, chosen.memory_size)
+            assert (expected.z_hat.shape, expected.H.shape, expected.S_prior.shape) == (
+                (0, 3),
+                (0, 3, 6),
+                (0, 3, 3),
+            )
+            assert (state.mean.shape, state.cov.shape) == ((0, 6), (0, 6, 6))
+            assert state.memory.shape == (0, chosen.memory_size)
+
+
+@EVERY_FILTER
+def test_each_track_may_have_its_own_process_noise(name):
+    rng = np.random.default_rng(7)
+    chosen = make_filter(name)
+    state = new_tracks(chosen, rng, 5)
+    prediction = chosen.predict(state, 0.05)
+    scan = hostile_scan(rng, prediction, 2)
+    factors = np.array([1.0, 1.0, 3.0, 1.0, 9.0])
+    own = dataclasses.replace(prediction, noise=factors[:, None, None] * prediction.noise)
+
+    together, expected = chosen.update(own, *scan), chosen.expected(own)
+
+    for t, factor in enumerate(factors):
+        one = prediction.take(np.array([t]))
+        alone = dataclasses.replace(one, noise=factor * one.noise)
+        after = chosen.update(alone, *(a[t : t + 1] for a in scan))
+        np.testing.assert_array_equal(together.mean[t], after.mean[0])
+        np.testing.assert_array_equal(together.cov[t], after.cov[0])
+        np.testing.assert_array_equal(together.memory[t], after.memory[0])
+        np.testing.assert_array_equal(expected.S_prior[t], chosen.expected(alone).S_prior[0])
+
+
+def test_no_layout_of_the_inputs_compiles_a_kernel_again():
+    rng = np.random.default_rng(8)
+    for name in filter_names():
+        chosen = make_filter(name)
+        state = new_tracks(chosen, rng, 4)
+        prediction = chosen.predict(state, 0.05)
+        scan = hostile_scan(rng, prediction, 2)
+        chosen.expected(prediction)
+        plain = chosen.update(prediction, *scan)
+
+        state = FilterState(*(awkward(a) for a in (state.mean, state.cov, state.memory)))
+        again = chosen.predict(state, 0.05)
+        parts = (again.mean, again.propagated, again.noise, again.memory)
+        again = Prediction(*(awkward(a) for a in parts))
+        chosen.expected(again)
+        odd = chosen.update(again, *(awkward(a) for a in scan))
+
+        np.testing.assert_array_equal(odd.mean, plain.mean)
+        np.testing.assert_array_equal(odd.cov, plain.cov)
+    kernels = [
+        f
+        for module in (motion, measurement, correction_kernels, fading_kernels)
+        for f in vars(module).values()
+        if isinstance(f, CPUDispatcher) and f.__module__ == module.__name__
+    ]
+    assert len(kernels) > 8
+    assert {f.__name__ for f in kernels if len(f.signatures) > 1} == set()
+
+
+def awkward(array):
+    """Return the same values read-only, in the order of Fortran, and with gaps."""
+    wide = np.zeros((*array.shape, 2), order="F")
+    wide[..., 0] = array
+    out = wide[..., 0]
+    out.flags.writeable = False
+    return out
 
 
 @EVERY_FILTER
