@@ -15,7 +15,7 @@ ENV PATH=/opt/wayside/bin:$PATH \
 RUN useradd --system --no-create-home wayside \
     && install -d -o wayside -g wayside /data /var/cache/wayside
 USER wayside
-RUN python -m service.tracking.warmup
+RUN python -m service.warmup
 VOLUME /data
 EXPOSE 8321
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s \

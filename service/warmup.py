@@ -9,10 +9,22 @@ from functools import partial
 
 import numpy as np
 
+from service.tracking import tracker
 from service.tracking.association import marginals
 from service.tracking.clustering import dbscan, split_lateral
 from service.tracking.clustering_parameters import ClusteringParameters
 from service.tracking.filters.registry import filter_names, make_filter
+from service.tracking.model import F64, Frame
+from service.tracking.parameters import TrackerParameters
+
+FRAMES = 60  # until tracks are confirmed, contend for points, and standing points are looked at
+FRAME_US = 50_000
+SPEED_MPS = 12.0
+BODY_X_M = np.array([-0.8, 0.0, 0.8, -0.8, 0.8])  # points of one vehicle about its middle
+BODY_Y_M = np.array([-2.0, -2.0, -2.0, 1.0, 1.0])
+FIRST_X_M = np.array([0.0, 2.4, -3.0])  # the first two side by side, so that they share points
+FIRST_Y_M = np.array([90.0, 89.0, 60.0])
+POST_X_M, POST_Y_M = np.array([8.0, 8.0]), np.array([30.0, 55.0])
 
 
 def _association() -> None:
@@ -35,12 +47,45 @@ def _filter(name: str) -> None:
     chosen.update(prediction, expected.z_hat[:, None], np.eye(3)[None, None], np.ones((1, 1)), np.zeros(1))
 
 
+def _whole_step() -> None:
+    """Track a made-up road for a moment: it reaches every kernel of the chain."""
+    chosen = TrackerParameters()
+    state = tracker.initial_state(chosen)
+    for number in range(FRAMES):
+        state, _, _ = tracker.step(state, _frame(number), chosen)
+    tracker.coast(state, FRAMES * FRAME_US, chosen)
+
+
+def _frame(number: int) -> Frame:
+    """Return three vehicles that approach, and two posts."""
+    y_m = FIRST_Y_M - SPEED_MPS * number * FRAME_US / 1e6
+    x = np.concatenate([(FIRST_X_M[:, None] + BODY_X_M).ravel(), POST_X_M])
+    y = np.concatenate([(y_m[:, None] + BODY_Y_M).ravel(), POST_Y_M])
+    speed = np.where(np.arange(len(x)) < len(FIRST_X_M) * len(BODY_X_M), SPEED_MPS, 0.0)
+    return _polar(x, y, speed, number)
+
+
+def _polar(x: F64, y: F64, speed: F64, number: int) -> Frame:
+    range_m = np.hypot(x, y)
+    return Frame(
+        sensor_id="warm-up",
+        time_us=number * FRAME_US,
+        sequence=number,
+        boot_id=None,
+        range_m=range_m.astype(np.float32),
+        azimuth_rad=np.arctan2(x, y).astype(np.float32),
+        radial_velocity_mps=(-speed * y / range_m).astype(np.float32),
+        snr_db=np.full(len(x), 20.0, dtype=np.float32),
+    )
+
+
 # Name and a call with the smallest input that makes the kernel compile for the types of live use.
 KERNELS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("association", _association),
     ("density clusters", _density_clusters),
     ("lateral split", _lateral_split),
     *((f"filter {name}", partial(_filter, name)) for name in filter_names()),
+    ("tracker", _whole_step),
 )
 
 
@@ -53,14 +98,15 @@ def warm_up(report: Callable[[str, float], None]) -> None:
 
 
 def main() -> None:
-    """Make every kernel ready, with a line of progress for each."""
+    """Make every kernel ready, with a line of progress for each on standard error."""
+    sys.stderr.write("Preparing the tracker's kernels: compiled the first time, about a minute\n")
     done = 0
 
     def print_line(name: str, seconds: float) -> None:
         nonlocal done
         done += 1
-        sys.stdout.write(f"kernel {done}/{len(KERNELS)}: {name}, {seconds:.1f} s\n")
-        sys.stdout.flush()
+        sys.stderr.write(f"kernel {done}/{len(KERNELS)}: {name}, {seconds:.1f} s\n")
+        sys.stderr.flush()
 
     warm_up(print_line)
 

@@ -27,7 +27,7 @@ def test_the_image_runs_as_an_ordinary_user_from_its_last_stage():
     last_stage = (ROOT / "Dockerfile").read_text().split("\nFROM ")[-1]
 
     assert re.search(r"^USER wayside$", last_stage, re.MULTILINE)
-    assert last_stage.index("USER wayside") < last_stage.index("service.tracking.warmup")
+    assert last_stage.index("USER wayside") < last_stage.index("service.warmup")
 
 
 def test_the_unit_starts_wayside_in_a_state_directory():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -11,6 +14,21 @@ from service.tracking.association_kernels import solve
 from service.tracking.clustering import cluster_window
 from service.tracking.clustering_kernels import density_clusters, split_clusters
 from service.tracking.clustering_parameters import ClusteringParameters
+
+LEFT_OVER = """
+import importlib, pkgutil
+from numba.core.registry import CPUDispatcher
+import service.tracking
+from service.warmup import warm_up
+
+warm_up(lambda name, seconds: None)
+names = [m.name for m in pkgutil.iter_modules(service.tracking.__path__, "service.tracking.")]
+values = [f for name in names for f in vars(importlib.import_module(name)).values()]
+found = [f for f in values if isinstance(f, CPUDispatcher)]
+entries = [f for f in found if "no_cpython_wrapper" not in f.targetoptions]
+kernels = {f"{f.__module__}.{f.__name__}": f.signatures for f in entries}
+print(len(kernels), *(name for name, signatures in kernels.items() if not signatures))
+"""
 
 
 @pytest.fixture
@@ -56,6 +74,15 @@ def test_no_input_makes_a_kernel_compile_again(warm):
 def test_main_prints_a_line_for_each_kernel(capsys):
     warmup.main()
 
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().err.splitlines()[1:]
     assert len(lines) == len(warmup.KERNELS)
     assert lines[0].startswith(f"kernel 1/{len(warmup.KERNELS)}: association, ")
+
+
+@pytest.mark.slow
+def test_the_warm_up_compiles_every_kernel():
+    result = subprocess.run([sys.executable, "-c", LEFT_OVER], capture_output=True, text=True, check=True)
+
+    count, *left = result.stdout.split()
+    assert int(count) > 5
+    assert left == []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.tracking import warmup
+from service import warmup
 
 
 def warm_up() -> None:
