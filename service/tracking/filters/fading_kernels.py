@@ -51,6 +51,8 @@ def compare(
                     sum_e += beta[t, j] * e[t, j, a]
                     sum_R += beta[t, j] * R[t, j, a, a]
             for i in range(STATES):
+                if H[t, a, i] == 0.0:  # most of H is
+                    continue
                 for k in range(STATES):
                     both = H[t, a, i] * H[t, a, k]
                     m += both * propagated[t, i, k]
@@ -207,6 +209,8 @@ def fade_states(
                     for f in range(DERIVATIVES):
                         parts[a, b, d, f] = 0.0
                 for i in range(STATES):
+                    if H[t, a, i] == 0.0:
+                        continue
                     for k in range(STATES):
                         both = H[t, a, i] * H[t, b, k]
                         rest[a, b] += both * Q[i, k]
