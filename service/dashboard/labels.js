@@ -119,8 +119,8 @@ function rectAt(vehicle, widthPx, side) {
  */
 function outline({ left, top, lengthPx, widthPx, headingRad, ringPx }) {
   const [sine, cosine] = [Math.abs(Math.sin(headingRad)), Math.abs(Math.cos(headingRad))];
-  const acrossPx = Math.max((widthPx * cosine + lengthPx * sine) / 2, ringPx);
-  const alongPx = Math.max((lengthPx * cosine + widthPx * sine) / 2, ringPx);
+  const acrossPx = (widthPx * cosine + lengthPx * sine) / 2 + ringPx;
+  const alongPx = (lengthPx * cosine + widthPx * sine) / 2 + ringPx;
   return { left: left - acrossPx, top: top - alongPx, right: left + acrossPx, bottom: top + alongPx };
 }
 

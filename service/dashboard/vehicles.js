@@ -8,7 +8,7 @@ const WIDTH_USUAL_M = 1.8;
 const LENGTH_MIN_PX = 11; // else a vehicle is not seen on a phone
 const WIDTH_MIN_PX = 5.5;
 const NOSE = 0.3; // share of the length that the arrow at the front takes
-const RING_GAP_PX = 7; // between a selected vehicle and the ring around it
+const RING_GAP_PX = 6; // between a selected vehicle and the ring around it
 const STILL_MPS = 0.5; // radial velocity below which a point may be scenery
 
 /**
@@ -19,7 +19,7 @@ const STILL_MPS = 0.5; // radial velocity below which a point may be scenery
  * @property {number} lengthPx
  * @property {number} widthPx
  * @property {number} headingRad
- * @property {number} ringPx radius of the ring around a selected vehicle, 0 around others
+ * @property {number} ringPx distance of the ring around a selected vehicle, 0 for others
  */
 
 /**
@@ -31,15 +31,14 @@ const STILL_MPS = 0.5; // radial velocity below which a point may be scenery
  */
 export function placed(view, track, aheadS, selected) {
   const heading = track.heading_deg ?? (Math.atan2(track.vx_mps, track.vy_mps) * 180) / Math.PI;
-  const lengthPx = Math.max((track.length_m ?? LENGTH_USUAL_M) * view.scale, LENGTH_MIN_PX);
   return {
     track,
     left: view.left(track.x_m + track.vx_mps * aheadS),
     top: view.top(track.y_m + track.vy_mps * aheadS),
-    lengthPx,
+    lengthPx: Math.max((track.length_m ?? LENGTH_USUAL_M) * view.scale, LENGTH_MIN_PX),
     widthPx: Math.max((track.width_m ?? WIDTH_USUAL_M) * view.scale, WIDTH_MIN_PX),
     headingRad: (heading * Math.PI) / 180,
-    ringPx: selected ? lengthPx / 2 + RING_GAP_PX : 0,
+    ringPx: selected ? RING_GAP_PX : 0,
   };
 }
 
@@ -152,21 +151,13 @@ export function drawBox(pen, theme, { track, left, top, lengthPx, widthPx, headi
   pen.strokeStyle = track.status === "confirmed" ? theme.halo : colour;
   pen.lineWidth = 1.5;
   pen.stroke();
+  if (ringPx > 0) {
+    pen.beginPath();
+    pen.roundRect(-side - ringPx, front - ringPx, widthPx + 2 * ringPx, lengthPx + 2 * ringPx, ringPx);
+    pen.globalAlpha = 1;
+    pen.strokeStyle = theme.mark;
+    pen.lineWidth = 2;
+    pen.stroke();
+  }
   pen.restore();
-  if (ringPx > 0) drawRing(pen, theme, left, top, ringPx);
-}
-
-/**
- * @param {CanvasRenderingContext2D} pen
- * @param {import("./theme.js").Theme} theme
- * @param {number} left
- * @param {number} top
- * @param {number} radiusPx
- */
-function drawRing(pen, theme, left, top, radiusPx) {
-  pen.beginPath();
-  pen.arc(left, top, radiusPx, 0, 2 * Math.PI);
-  pen.strokeStyle = theme.mark;
-  pen.lineWidth = 2;
-  pen.stroke();
 }
