@@ -93,6 +93,10 @@ def _fingerprint(codec: _Codec) -> bytes:
 def _codec(hint: Any) -> _Codec:  # noqa: ANN401, PLR0911 - a hint has no narrower type; one line a kind
     """Return how values of one type hint are written and read."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hasattr(
+        origin, "__value__"
+    ):  # a type alias with parameters, as numpy's NDArray is from Python 3.12 on
+        return _codec(origin.__value__[arguments])
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return _dataclass_codec(hint)
     if isinstance(hint, type) and issubclass(hint, Enum):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from typing_extensions import TypeAliasType
 
 from service.errors import SnapshotUnreadable
 from service.tracking import snapshot
@@ -50,6 +52,15 @@ class OuterRenamed:
 @dataclass(frozen=True, slots=True)
 class Untypable:
     anything: dict[str, int]
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Row = TypeAliasType("Row", np.ndarray[Any, np.dtype[Scalar]], type_params=(Scalar,))
+
+
+@dataclass(frozen=True, slots=True)
+class Aliased:
+    row: Row[np.float32]  # as numpy spells NDArray from Python 3.12 on
 
 
 ARRAYS = hnp.arrays(
@@ -165,6 +176,15 @@ def test_a_state_of_another_schema_is_refused():
 def test_a_value_that_does_not_fit_its_hint_is_named(change, message):
     with pytest.raises(TypeError, match=message):
         snapshot.dump(dataclasses.replace(example(), **change))
+
+
+def test_an_array_may_be_hinted_by_an_alias():
+    state = Aliased(np.arange(3, dtype=np.float32))
+
+    restored = snapshot.load(Aliased, snapshot.dump(state))
+
+    np.testing.assert_array_equal(restored.row, state.row)
+    assert restored.row.dtype == np.float32
 
 
 def test_a_type_without_a_codec_is_named():
