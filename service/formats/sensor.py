@@ -100,7 +100,7 @@ class SensorConfig(_Schema):
         )
 
     def tracker_parameters(self) -> TrackerParameters:
-        """Return the tracker's parameters with this configuration's overrides; raises InvalidInput on a bad one."""
+        """Return the tracker's parameters with this configuration's overrides; raises InvalidInput."""
         parameters = TrackerParameters(sensor=self.sensor_model(), filter=self.filter)
         for key in sorted(self.parameters):
             parameters = parameters.with_setting(key, self.parameters[key])
