@@ -50,6 +50,7 @@ class ExistenceParameters:
     coast_tentative_s: float = 0.5
     coast_young_s: float = 0.3  # a track has earned this much silence, and a little more with each hit
     coast_per_hit_s: float = 0.03
+    leave_margin_m: float = 6.0  # a silent track so far outside the region has left
     settled_hits: int = 20  # hits after which a standing or shadowed track is not given up for mere silence
     # what makes a track wait longer for confirmation, in log-odds
     weak_db: float = 4.0  # so far under the mean echo of confirmed vehicles, between these ranges

@@ -26,9 +26,19 @@ def live(state: TrackerState, a: Assignment, time_us: int, p: TrackerParameters)
     around = _surroundings(replace(state, tracks=tracks), p)
     status, over = existence.judge(tracks, around, time_us, hidden, state.echo_reference_db, p.existence)
     tracks = replace(tracks, status=status)
+    over |= _left_view(tracks, p)
     ended = int(over.sum())
     reference = _echo_reference(tracks, state.echo_reference_db, p)
     return replace(state, tracks=tracks.take(~over) if ended else tracks, echo_reference_db=reference), ended
+
+
+def _left_view(tracks: Tracks, p: TrackerParameters) -> Bool:
+    """Return which tracks (T,) are silent and outside the region: nothing more will be heard of them."""
+    g, azimuth = np.hypot(tracks.x_m, tracks.y_m), np.abs(np.arctan2(tracks.x_m, tracks.y_m))
+    s, margin = p.sensor, p.existence.leave_margin_m
+    outside = (g > s.range_max_m + margin) | (g < s.range_min_m - margin)
+    outside |= (azimuth - s.azimuth_max_rad) * g > margin
+    return np.asarray(outside & (tracks.empty > 0))
 
 
 def let_go(tracks: Tracks, time_us: int, p: TrackerParameters) -> tuple[Tracks, int]:

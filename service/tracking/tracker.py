@@ -200,7 +200,7 @@ def _track(
     a = assign(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
     )
-    after = bank.update(prediction, a.z, a.R, a.beta, a.miss) if len(tracks) else _filter_state(tracks)
+    after = bank.update(prediction, a.z, a.R, a.beta, a.miss)
     tracks = replace(tracks, mean=after.mean, cov=after.cov, memory=after.memory)
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
     return extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent), a
