@@ -19,15 +19,15 @@ import pytest
 PATIENCE_S = 120.0  # a busy machine that compiles kernels
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\d+")
 
-Start = Callable[..., tuple[subprocess.Popen[str], str]]
+Start = Callable[..., tuple[subprocess.Popen[str], str, list[str]]]
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Start a serving command and return it with its address."""
+    """Start a serving command and return it with its address and the lines it said before."""
     running: list[subprocess.Popen[str]] = []
 
-    def begin(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    def begin(*arguments: str) -> tuple[subprocess.Popen[str], str, list[str]]:
         process = subprocess.Popen(
             [sys.executable, "-m", "service.cli.main", *arguments, "--port", "0"],
             stderr=subprocess.PIPE,
@@ -41,7 +41,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
         for line in process.stderr:  # ends with the process
             told.append(line)
             if found := ADDRESS.search(line):
-                return process, found.group()
+                return process, found.group(), told
         raise AssertionError("".join(told))
 
     yield begin
@@ -57,7 +57,7 @@ def stop(process: subprocess.Popen[str], number: int) -> int:
 
 @pytest.mark.slow
 def test_a_recording_is_replayed_to_a_service_and_tracked(run, start, scene):
-    process, address = start("serve")
+    process, address, _ = start("serve")
 
     told = json.loads(
         run(
@@ -91,13 +91,24 @@ def newest(address: str, sensor_id: str, frame: int) -> dict[str, object]:
 
 @pytest.mark.slow
 def test_the_demo_shows_moving_vehicles(start, tmp_path):
-    process, address = start("demo", "--data-dir", str(tmp_path / "demo"))
+    process, address, _ = start("demo", "--data-dir", str(tmp_path / "demo"))
 
     live = newest(address, "radar-1", frame=60)
 
     assert len(live["tracks"]) > 0
     assert httpx.get(f"{address}/readyz", timeout=PATIENCE_S).status_code == 200
     assert stop(process, signal.SIGINT) == 0
+
+
+@pytest.mark.slow
+def test_the_first_key_is_printed_once_and_needed_from_then_on(start):
+    _, address, told = start("serve", "--host", "0.0.0.0", "--first-key")  # noqa: S104 - with a key
+
+    key = told[0].rpartition(" ")[2].strip()
+
+    url = f"{address}/api/v1/sensors"
+    assert httpx.get(url, timeout=PATIENCE_S).status_code == 401
+    assert httpx.get(url, headers={"X-API-Key": key}, timeout=PATIENCE_S).status_code == 200
 
 
 @pytest.mark.slow
