@@ -75,6 +75,11 @@ class Telemetry:
         return generate_latest(self.registry)
 
 
+def _print_logger(*_: object) -> structlog.PrintLogger:
+    """Return a logger on what is standard error now: it may be another than at set-up."""
+    return structlog.PrintLogger(sys.stderr)
+
+
 def set_up_logging(
     level: Literal["debug", "info", "warning", "error"] = "info",
     layout: Literal["auto", "console", "json"] = "auto",
@@ -93,6 +98,6 @@ def set_up_logging(
             ),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(_LEVELS[level]),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        logger_factory=_print_logger,
         cache_logger_on_first_use=False,
     )

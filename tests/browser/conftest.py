@@ -57,7 +57,7 @@ class Visit:
         assert self.page.evaluate("window.violations") == []
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # not longer: while it lives, its event loop runs in this thread
 def chromium():
     path = needed_program("chromium")
     expect.set_options(timeout=PATIENCE_MS)

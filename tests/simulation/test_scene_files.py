@@ -159,18 +159,6 @@ def test_tracks_made_from_the_truth_score_as_perfect(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not SCORER.exists(), reason="the independent scorer is not beside the repository")
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # the scorer does not close its files
-def test_an_independent_scorer_agrees_that_the_truth_is_perfect(tmp_path, monkeypatch):
-    pytest.importorskip("trackeval", reason="the independent scorer computes its label metrics with it")
-    write_scene("two_way", tmp_path, seed=5, duration_s=12.0)
-    score = load_scorer(monkeypatch)
-    lanes = str(tmp_path / "road_truth.json")
-
-    assert_perfect(score.score_scene(str(tmp_path), str(perfect_tracks(tmp_path)), lanes=lanes))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not SCORER.exists(), reason="the independent scorer is not beside the repository")
-@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # the scorer does not close its files
 def test_an_independent_scorer_reads_the_scene_and_finds_its_crossings(tmp_path, monkeypatch):
     write_scene("two_way", tmp_path, seed=6, duration_s=12.0)
     score = load_scorer(monkeypatch)
