@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import structlog
 from typer.testing import CliRunner, Result
 
 from service.cli.main import app
@@ -22,7 +23,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
     monkeypatch.chdir(tmp_path)  # no .env of the developer
     for name in ("WAYSIDE_KEY", "WAYSIDE_URL", "WAYSIDE_DATA_DIR", "WAYSIDE_DATABASE_URL"):
         monkeypatch.delenv(name, raising=False)
@@ -32,4 +33,5 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
         assert result.exit_code == code, result.output
         return result
 
-    return call
+    yield call
+    structlog.reset_defaults()  # `serve` logs to the standard error of its call, which is closed by now
