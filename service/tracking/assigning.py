@@ -200,15 +200,29 @@ def _pad(
     approximated: int,
 ) -> Assignment:  # fmt: skip
     """Return the pairs as padded arrays, a row a track."""
-    n = len(own)
-    per_track = np.bincount(box, minlength=n)
-    start = np.concatenate([[0], np.cumsum(per_track)[:-1]])
-    slot = np.arange(len(box)) - start[box]  # pairs come ordered by box
-    width = max(int(per_track.max(initial=0)), 1)
-    zs, Rs = np.zeros((n, width, 3)), np.tile(np.eye(3), (n, width, 1, 1))
-    b = np.zeros((n, width))
-    zs[box, slot], Rs[box, slot], b[box, slot] = z, R, beta[box, group]
-    mine = box == group
-    table = np.zeros((n, measured.shape[1]))
-    table[box[mine]] = measured[mine]
+    zs, Rs, b, table = _padded(box, group, z, R, measured, beta, len(own))
     return Assignment(zs, Rs, b, miss, table, owner, components, approximated)
+
+
+@kernel
+def _padded(
+    box: I64, group: I64, z: F64, R: F64, measured: F64, beta: F64, n: int
+) -> tuple[F64, F64, F64, F64]:
+    filled = np.zeros(n, dtype=np.int64)
+    for i in box:
+        filled[i] += 1
+    width = 1
+    for i in range(n):
+        width = max(width, filled[i])
+        filled[i] = 0
+    zs, Rs, b = np.zeros((n, width, 3)), np.zeros((n, width, 3, 3)), np.zeros((n, width))
+    Rs[:, :, 0, 0] = Rs[:, :, 1, 1] = Rs[:, :, 2, 2] = 1.0
+    own = np.zeros((n, measured.shape[1]))
+    for k in range(len(box)):
+        i = box[k]
+        slot = filled[i]
+        filled[i] += 1
+        zs[i, slot], Rs[i, slot], b[i, slot] = z[k], R[k], beta[i, group[k]]
+        if i == group[k]:
+            own[i] = measured[k]
+    return zs, Rs, b, own

@@ -85,13 +85,13 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
     """
     p = parameters
     known = np.isfinite(radial_velocity_mps)
-    speed_mps = np.median(np.abs(radial_velocity_mps[known])) if known.any() else np.nan
+    speed_mps = _median(np.abs(radial_velocity_mps[known])) if known.any() else np.nan
     eps_along_m = np.clip(
         p.eps_along_offset_m + p.eps_along_slope_s * speed_mps, p.eps_along_min_m, p.eps_along_max_m
     )
     if not known.any():
         eps_along_m = (p.eps_along_min_m + p.eps_along_max_m) / 2
-    noise_rad = np.median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
+    noise_rad = _median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
     scaled = np.empty((len(along_m), 4))
     scaled[:, 0] = along_m / (eps_along_m * (1.0 + p.eps_along_growth_per_m * range_m))
     scaled[:, 1] = across_m / np.hypot(p.eps_across_m, p.eps_across_noise * noise_rad * range_m)
@@ -102,6 +102,12 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
         nearest = cKDTree(scaled[known][:, rest]).query(scaled[~known][:, rest])[1]
         scaled[~known, 2] = scaled[known, 2][nearest]
     return scaled
+
+
+def _median(values: F64) -> float:
+    """Return the median of finite values; numpy's own costs ten times the sort in checks."""
+    ordered = np.sort(values)
+    return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "numba") -> I64:

@@ -31,9 +31,7 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     """Return the tracks, long ones stretched over their pieces, and which of them (T,) to drop."""
     n = len(tracks)
     drop = np.zeros(n, dtype=np.bool_)
-    if n < 2 or not _any_near(
-        tracks.mean, 0.5 * p.length_max_m + p.piece_gap_m, p.lane_across_m + p.same_centre_m
-    ):
+    if n < 2 or not _any_near(tracks.mean, 0.5 * p.length_max_m + p.piece_gap_m, p.lane_across_m + 0.6):
         return tracks, drop
     dx = tracks.x_m[None, :] - tracks.x_m[:, None]
     dy = tracks.y_m[None, :] - tracks.y_m[:, None]

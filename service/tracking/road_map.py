@@ -6,10 +6,12 @@ for longer, and standing objects on it may be vehicles.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 
 
@@ -71,9 +73,20 @@ def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[
 
     Agreement is the length of the mean unit vector, 1 where all drove the same way, 0 where nobody drove.
     """
-    i, j, inside = cell_of(x_m, y_m, p)
-    n = np.where(inside, road.tracks[i, j], 0.0)
-    sine = np.where(inside, road.sine[i, j], 0.0)
-    cosine = np.where(inside, road.cosine[i, j], 0.0)
-    agreement = np.hypot(sine, cosine) / np.maximum(n, 1.0)
-    return n, np.arctan2(sine, cosine), agreement
+    where = (p.reach_x_m, p.cell_x_m, p.cell_y_m)
+    return _driven_at(road.tracks, road.sine, road.cosine, np.array(x_m), np.array(y_m), where)
+
+
+@kernel
+def _driven_at(
+    tracks: F64, sine: F64, cosine: F64, x_m: F64, y_m: F64, where: tuple[float, ...]
+) -> tuple[F64, F64, F64]:
+    reach_x, cell_x, cell_y = where
+    count, heading, agreement = np.zeros(len(x_m)), np.zeros(len(x_m)), np.zeros(len(x_m))
+    for k in range(len(x_m)):
+        i, j = math.floor((x_m[k] + reach_x) / cell_x), math.floor(y_m[k] / cell_y)
+        if 0 <= i < tracks.shape[0] and 0 <= j < tracks.shape[1] and tracks[i, j] > 0.0:
+            count[k] = tracks[i, j]
+            heading[k] = math.atan2(sine[i, j], cosine[i, j])
+            agreement[k] = math.hypot(sine[i, j], cosine[i, j]) / count[k]
+    return count, heading, agreement
