@@ -78,8 +78,8 @@ def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points:
     return np.flatnonzero(good)
 
 
-def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64 | None:
-    """Return one row of Births' floats for the current points of a cluster, None when they do not move.
+def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64:
+    """Return one row of Births' floats for the current points of a moving cluster.
 
     points (n, POINT_COLUMNS). The velocity is the Doppler along the line of sight, or along the road's
     direction where the road map knows it.

@@ -67,7 +67,7 @@ class AssociationParameters:
     doppler_noise_factor: float = 1.3  # wheels and turning bodies spread the Doppler of a vehicle's points
     doppler_floor_mps: float = 0.05
     widen_after: int = 3  # empty frames in a row after which the gate is widened
-    widen_position_m2: float = 0.06  # per frame; (T^2 25) of the note
+    widen_position_m2: float = 0.06  # added per frame to each position variance
     widen_velocity_m2ps2: float = 0.5
     off_road_range_m: float = 140.0  # farther out the road map has not been taught
     birth_accel_std_mps2: float = 2.0

@@ -36,9 +36,7 @@ def find_births(
         centre = points[mine].mean(axis=0)
         n, heading, agreement = road_map.driven_at(state.road, centre[[PX]], centre[[PY]], p.road)
         known = n[0] >= p.road.driven_tracks and agreement[0] > 0.8
-        row = birth.moving_birth(points[mine], float(heading[0]) if known else None, b)
-        if row is not None:
-            rows.append(row)
+        rows.append(birth.moving_birth(points[mine], float(heading[0]) if known else None, b))
     if state.frames % b.standing_interval_frames == 0 and len(state.frame_times_us) >= b.standing_min_frames:
         rows += _standing(state, p)
     kept = birth.gather(rows)

@@ -209,8 +209,8 @@ def _track(
 def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
     """Return the process noise, larger where a gate has stayed empty for longer than misses explain.
 
-    After the recovery rule of the hybrid particle/FIR filter's notes: the variance of position grows with T^2
-    q and that of velocity with q while the gate is empty, so that a braking vehicle is met again.
+    The variances of position and velocity grow with every empty frame, so that a braking vehicle is met
+    again.
     """
     late = (tracks.empty >= p.boxes.widen_after) & (tracks.speed_mps > 2.0)
     late &= tracks.empty > 2.0 / np.maximum(tracks.detect_rate, 0.1)
