@@ -193,6 +193,7 @@ class SqliteLog:
         with self._guard:
             segment = Segment(_next_path(newest.path), self._last)
             self._segments.append(segment)
+        newest.seal()
         return segment
 
     # ------------------------------------------------------------- reading

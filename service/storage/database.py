@@ -159,7 +159,8 @@ def _prepare_sqlite(driver: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
     for pragma in (
         f"page_size = {PAGE_BYTES}",  # before the first page is written; later without effect
         "journal_mode = WAL",
-        "synchronous = NORMAL",  # a crash of the machine may lose the last commits; the log gives them again
+        # Each commit is on the disk: a revoked key stays so, and the log may drop what a snapshot covers.
+        "synchronous = FULL",
         f"journal_size_limit = {JOURNAL_LIMIT_BYTES}",
     ):
         driver.execute(f"PRAGMA {pragma}")

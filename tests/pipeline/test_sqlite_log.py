@@ -154,6 +154,40 @@ def test_a_second_process_on_the_same_folder_is_refused(tmp_path):
     assert "another process uses the data" in done.stdout
 
 
+def test_the_files_are_little_larger_than_the_frames_in_them(tmp_path):
+    frames = [
+        dataclasses.replace(record.frame, sensor_id=f"radar-{i % 10}") for i, record in enumerate(many())
+    ]
+    frame_log = SqliteLog(tmp_path, LogLimits(free_share=0.0))
+    for item in frames:
+        frame_log.append(item.sensor_id, [FrameRecord(item, 0)])
+    frame_log.close()
+
+    wanted = sum(len(encode_record(FrameRecord(item, 0))) for item in frames)
+
+    # 1.19 to 1.24 on recorded scenes: a page of 8 kB holds three or four frames and is not always filled
+    assert frame_log.size_bytes() < 1.35 * wanted
+
+
+def many(count: int = 600) -> list[FrameRecord]:
+    sizes = np.random.default_rng(1).integers(60, 220, count).tolist()
+    columns = ("range_m", "azimuth_rad", "radial_velocity_mps", "snr_db")
+    return [
+        FrameRecord(
+            dataclasses.replace(frame(i + 1, i + 1), **{c: np.zeros(n, np.float32) for c in columns}), 0
+        )
+        for i, n in enumerate(sizes)
+    ]
+
+
+def test_only_the_newest_file_keeps_a_write_ahead_file(small_log, tmp_path):
+    append_all(small_log, big_records(40))
+
+    assert len(list(tmp_path.glob("segment-*.sqlite"))) > 2
+    ahead = {path.name: path.stat().st_size for path in sorted(tmp_path.glob("segment-*.sqlite-wal"))}
+    assert [size for size in list(ahead.values())[:-1] if size] == []
+
+
 SMALL = LogLimits(total_bytes=1_600_000, segment_bytes=200_000, free_share=0.0)
 
 

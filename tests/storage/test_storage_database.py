@@ -33,7 +33,7 @@ def test_sqlite_writes_ahead_in_pages_of_the_chosen_size(sqlite_engine):
             for name in ("journal_mode", "synchronous", "foreign_keys", "page_size")
         }
 
-    assert found == {"journal_mode": "wal", "synchronous": 1, "foreign_keys": 1, "page_size": 8192}
+    assert found == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "page_size": 8192}
 
 
 def test_an_error_rolls_the_whole_transaction_back(engine, sensor):
