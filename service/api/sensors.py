@@ -36,6 +36,7 @@ from service.formats.sensor import SensorConfig
 from service.storage import sites as store
 from service.storage.database import session_scope
 from service.tracking.filters.registry import make_filter
+from service.traffic.parameters import traffic_setup
 
 router = APIRouter(prefix=PREFIX)
 
@@ -186,6 +187,7 @@ def _checked(config: SensorConfig) -> SensorConfig:
     make_filter(config.filter)
     try:
         config.tracker_parameters()
+        traffic_setup(config)
     except InvalidInput as error:
         errors = [FieldError(f"/parameters{fault.pointer}", fault.reason) for fault in error.errors]
         raise InvalidInput(f"/parameters{error}", errors) from None

@@ -9,6 +9,7 @@ from service.errors import InvalidInput
 from service.formats.sensor import SensorConfig
 from service.pipeline.offline import read_site as read_config
 from service.tracking.filters.registry import make_filter
+from service.traffic.parameters import traffic_setup
 
 
 def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str] = ()) -> SensorConfig:
@@ -34,6 +35,7 @@ def with_settings(config: SensorConfig, filter_name: str | None, settings: Seque
     config = config.model_copy(update=changes)
     make_filter(config.filter)  # names a wrong filter, key or value now, before any work
     config.tracker_parameters()
+    traffic_setup(config)
     return config
 
 

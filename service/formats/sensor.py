@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.tracking.parameters import SensorModel, TrackerParameters
 
+TRAFFIC_PREFIX = "traffic."  # of the keys of `parameters` that are of traffic analysis, not of the tracker
+
 SensorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", examples=["radar-1"])]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -103,6 +105,8 @@ class SensorConfig(_Schema):
         """Return the tracker's parameters with this configuration's overrides; raises InvalidInput."""
         parameters = TrackerParameters(sensor=self.sensor_model(), filter=self.filter)
         for key in sorted(self.parameters):
+            if key.startswith(TRAFFIC_PREFIX):
+                continue  # service.traffic.parameters reads them
             parameters = parameters.with_setting(key, self.parameters[key])
         return parameters
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Generic
@@ -18,7 +17,7 @@ from service.pipeline.log import FrameLog
 from service.pipeline.order import OrderState, admit, flush
 from service.pipeline.records import ControlRecord, FrameRecord
 from service.storage.database import session_scope
-from service.storage.rows import Rows, TrackKey, TrackSummary
+from service.storage.rows import Rows, merge_rows
 from service.storage.shards import Shard, Snapshot, begin_epoch, load_shard, save_snapshot
 
 FIRST_START = "first start"
@@ -66,17 +65,6 @@ class Channel(Generic[S]):
     def take_rows(self) -> Rows:
         """Return what was collected since the last flush, each track's newest summary only."""
         return merge_rows(self.rows)
-
-
-def merge_rows(parts: Iterable[Rows]) -> Rows:
-    """Return the rows of several records as one; of a track only the newest summary remains."""
-    parts = list(parts)
-    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in parts for row in rows.tracks}
-    return Rows(
-        blocks=tuple(block for rows in parts for block in rows.blocks),
-        tracks=tuple(tracks.values()),
-        events=tuple(event for rows in parts for event in rows.events),
-    )
 
 
 def open_channel(  # noqa: PLR0913 - what a restart needs

@@ -15,7 +15,12 @@ from service.pipeline.blocks import Moment, collect_frame, collect_tick, end_all
 from service.pipeline.fold_state import Folded, FoldOutput, FoldState, S, Tracker
 from service.pipeline.order import Admission, Fate, OrderState, Released, admit, flush, pass_time
 from service.pipeline.records import ControlRecord, FrameRecord, Record, TickRecord
-from service.storage.rows import EventRow, Rows, TrackKey, TrackSummary
+from service.pipeline.traffic_rows import traffic_rows
+from service.storage.rows import EventRow, Rows, merge_rows
+from service.tracking.model import TrackEstimates
+from service.traffic import monitor
+from service.traffic.model import Moment as TrafficMoment
+from service.traffic.parameters import traffic_setup
 
 TICK_US = 1_000_000
 CONFIGURATION_REFUSED = "configuration_refused"
@@ -45,7 +50,9 @@ def start(
         position=first_position - 1,
         config=config.canonical_json(),
         parameters=parameters,
+        setup=traffic_setup(config),
         tracker=tracker.initial_state(parameters),
+        traffic=monitor.initial_state(),
         order=OrderState(),
         collected=nothing_collected(),
     )
@@ -79,16 +86,11 @@ def step(
 
 
 def _result(admission: Admission, out: _Output, restarted: str | None) -> FoldOutput:
-    # A track may be summed up twice in one step; both have the same `as_of`, so only the later may go out.
-    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in out.rows for row in rows.tracks}
     return FoldOutput(
         fate=admission.fate,
         folded=tuple(out.folded),
-        rows=Rows(
-            blocks=tuple(block for rows in out.rows for block in rows.blocks),
-            tracks=tuple(tracks.values()),
-            events=tuple(event for rows in out.rows for event in rows.events),
-        ),
+        # Of a track that is summed up twice in one step only the later summary: both have one `as_of`.
+        rows=merge_rows(out.rows),
         missing=admission.missing,
         dropped=admission.dropped,
         restarted=restarted,
@@ -99,6 +101,7 @@ def _fold_frame(state: FoldState[S], released: Released, out: _Output, tracker: 
     frame = released.frame
     state = _fold_ticks(state, frame.time_us, out, tracker)
     tracked, estimates, report = tracker.step(state.tracker, frame, state.parameters)
+    state, estimates = _watch(state, frame.time_us, released.number, estimates, out)
     moment = _moment(state, frame.time_us)
     collected, rows = collect_frame(state.collected, moment, released.number, estimates)
     out.rows.append(rows)
@@ -132,6 +135,7 @@ def _fold_ticks(state: FoldState[S], before_us: int, out: _Output, tracker: Trac
         if time_us >= before_us:
             break
         tracked, estimates, report = tracker.coast(state.tracker, time_us, state.parameters)
+        state, estimates = _watch(state, time_us, None, estimates, out)
         collected, rows = collect_tick(state.collected, _moment(state, time_us), estimates)
         out.rows.append(rows)
         out.folded.append(
@@ -145,11 +149,23 @@ def _fold_ticks(state: FoldState[S], before_us: int, out: _Output, tracker: Trac
     return state
 
 
+def _watch(
+    state: FoldState[S], time_us: int, frame_number: int | None, estimates: TrackEstimates, out: _Output
+) -> tuple[FoldState[S], TrackEstimates]:
+    """Analyse the traffic after a frame, or after a tick (no number); return the tracks with their lanes."""
+    tick = frame_number is None
+    moment = TrafficMoment(time_us, state.frame_number if frame_number is None else frame_number, tick)
+    traffic, estimates, found = monitor.step(state.traffic, moment, estimates, state.setup)
+    rows, events = traffic_rows(found, _moment(state, time_us), state.events)
+    out.rows.append(rows)
+    return replace(state, traffic=traffic, events=events), estimates
+
+
 def _configure(state: FoldState[S], record: ControlRecord, out: _Output) -> FoldState[S]:
     """Take over a new configuration; a wrong one is refused by an event, and the old one stays."""
     try:
         config = SensorConfig.model_validate_json(record.config)
-        parameters = config.tracker_parameters()
+        parameters, setup = config.tracker_parameters(), traffic_setup(config)
     except (InvalidInput, ValueError) as error:
         event = EventRow(
             sensor_id=state.sensor_id,
@@ -162,7 +178,7 @@ def _configure(state: FoldState[S], record: ControlRecord, out: _Output) -> Fold
         )
         out.rows.append(Rows(events=(event,)))
         return replace(state, events=state.events + 1)
-    return replace(state, config=config.canonical_json(), parameters=parameters)
+    return replace(state, config=config.canonical_json(), parameters=parameters, setup=setup)
 
 
 def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldState[S]:
@@ -174,6 +190,7 @@ def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldS
         epoch=state.epoch + 1,
         epoch_first_position=state.position,
         tracker=tracker.initial_state(state.parameters),
+        traffic=monitor.finish(state.traffic),
         collected=nothing_collected(),
         frame_us=None,
         ticks=0,

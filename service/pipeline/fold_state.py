@@ -10,6 +10,8 @@ from service.pipeline.order import Fate, OrderState
 from service.storage.rows import Rows
 from service.tracking.model import Frame, StepReport, TrackEstimates
 from service.tracking.parameters import TrackerParameters
+from service.traffic.monitor import TrafficState
+from service.traffic.parameters import TrafficSetup
 
 
 class TrackerState(Protocol):
@@ -56,7 +58,9 @@ class FoldState(Generic[S]):
     position: int  # of the newest folded record
     config: str  # SensorConfig as canonical JSON
     parameters: TrackerParameters  # of that configuration
+    setup: TrafficSetup  # likewise
     tracker: S
+    traffic: TrafficState
     order: OrderState
     collected: Collected
     frame_us: int | None = None  # time of the newest folded frame

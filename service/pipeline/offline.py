@@ -24,12 +24,11 @@ from service.errors import FieldError, InvalidFrame, InvalidInput
 from service.formats.json_frames import parse_frame, read_frames
 from service.formats.sensor import SensorConfig
 from service.formats.tracks import frame_line
-from service.pipeline.channel import merge_rows
 from service.pipeline.fold import TICK_US, start, step
 from service.pipeline.fold_state import MAX_TICKS, Folded, FoldOutput, Tracker
 from service.pipeline.order import Fate
 from service.pipeline.records import FrameRecord, TickRecord
-from service.storage.rows import EventRow, Rows, StateBlock, TrackSummary
+from service.storage.rows import EventRow, Rows, StateBlock, TrackSummary, merge_rows
 from service.tracking import tracker as default_tracker
 from service.tracking.model import F64, I64, Frame
 

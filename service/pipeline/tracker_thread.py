@@ -153,7 +153,7 @@ class TrackerThread(Generic[S]):
         channel.state, output = step(channel.state, position, record, self._tracker)
         self._telemetry.fold.observe(time.perf_counter() - started_s)
         now_us = self._clock_us()
-        if output.rows.blocks or output.rows.tracks or output.rows.events:
+        if output.rows:
             channel.rows.append(output.rows)
         if output.restarted is not None:
             channel.restarts.append(Restart(position, output.restarted, now_us))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,9 +86,54 @@ class EventRow:
 
 
 @dataclass(frozen=True, slots=True)
+class LaneChangeRow:
+    """A vehicle that went from one lane into another; written once, a repeat changes nothing."""
+
+    key: TrackKey
+    time_us: int  # when its centre crossed the boundary
+    decided_us: int
+    from_lane: int
+    to_lane: int
+    x_m: float
+    y_m: float
+    speed_mps: float
+    map_version: int
+
+
+@dataclass(frozen=True, slots=True)
+class LaneMapRow:
+    """The lanes of a sensor from a moment on; written once, a repeat changes nothing."""
+
+    sensor_id: str
+    epoch: int
+    version: int  # inside the epoch
+    time_us: int
+    frame: int
+    vehicles: int
+    source: str  # learned, user
+    lanes: str  # canonical JSON: service.formats.lanes
+
+
+@dataclass(frozen=True, slots=True)
 class Rows:
     """What one or more folded records add to the database."""
 
     blocks: tuple[StateBlock, ...] = ()
     tracks: tuple[TrackSummary, ...] = ()
     events: tuple[EventRow, ...] = ()
+    lane_changes: tuple[LaneChangeRow, ...] = ()
+    lane_maps: tuple[LaneMapRow, ...] = ()
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, item.name) for item in dataclasses.fields(self))
+
+
+def merge_rows(parts: Iterable[Rows]) -> Rows:
+    """Return the rows of several records as one; of a track only the newest summary remains."""
+    parts = list(parts)
+    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in parts for row in rows.tracks}
+    joined = {
+        item.name: tuple(row for rows in parts for row in getattr(rows, item.name))
+        for item in dataclasses.fields(Rows)
+    }
+    return Rows(**joined | {"tracks": tuple(tracks.values())})

@@ -73,6 +73,7 @@ class TrackEstimates:
     existence: F32  # probability that the track is a vehicle
     status: U8  # TrackStatus
     lane: U8  # index of the lane, 0: none
+    motion: U8  # traffic.model.MotionState, 0: unclassified
     hits: I64  # frames with an associated measurement
     born_us: I64
 

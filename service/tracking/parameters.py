@@ -13,6 +13,7 @@ import math
 import types
 import typing
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from service.errors import InvalidInput
 from service.tracking.births import BirthParameters
@@ -23,6 +24,8 @@ from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
 from service.tracking.road_map import RoadMapParameters
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +98,7 @@ class TrackerParameters:
 
         Raises InvalidInput naming the key when it does not exist or the text does not fit its type.
         """
-        return _with_setting(self, key, key.split("."), text)
+        return with_setting(self, key, text)
 
     def as_dict(self) -> dict[str, object]:
         """Return the parameters as nested plain values."""
@@ -107,8 +110,9 @@ class TrackerParameters:
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _with_setting(group: TrackerParameters, key: str, path: list[str], text: str) -> TrackerParameters:
-    return typing.cast("TrackerParameters", _set(group, key, path, text))
+def with_setting(group: T, key: str, text: str) -> T:
+    """Return a copy of a frozen dataclass with one dotted key set from its text; raises InvalidInput."""
+    return typing.cast("T", _set(group, key, key.split("."), text))
 
 
 def _set(group: object, key: str, path: list[str], text: str) -> object:

@@ -120,7 +120,8 @@ def estimates(tracks: Tracks) -> TrackEstimates:
         heading_rad=t.heading_rad.astype(f), length_m=np.where(known, t.length_m, np.nan).astype(f),
         width_m=np.where(known, t.width_m, np.nan).astype(f),
         existence=existence.probability(t.log_odds).astype(f), status=t.status,
-        lane=np.zeros(len(t), dtype=np.uint8), hits=t.hits, born_us=t.born_us,
+        lane=np.zeros(len(t), dtype=np.uint8), motion=np.zeros(len(t), dtype=np.uint8),
+        hits=t.hits, born_us=t.born_us,
     )  # fmt: skip
 
 

@@ -49,6 +49,7 @@ def estimates(rng, count):
         existence=column(0.5, 1),
         status=rng.choice([TrackStatus.CONFIRMED, TrackStatus.COASTING], count).astype(np.uint8),
         lane=rng.integers(0, 4, count).astype(np.uint8),
+        motion=rng.integers(0, 5, count).astype(np.uint8),
         hits=rng.integers(1, 99, count),
         born_us=np.full(count, SECOND * 1_000_000 - 4_200_000),
     )

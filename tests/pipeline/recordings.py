@@ -75,6 +75,8 @@ def all_rows(outputs: Iterable[FoldOutput]) -> Rows:
         blocks=tuple(blocks[key] for key in sorted(blocks, key=repr)),
         tracks=tuple(tracks[key] for key in sorted(tracks, key=repr)),
         events=tuple(dataclasses.replace(row, as_of=0) for out in outputs for row in out.rows.events),
+        lane_changes=tuple(row for out in outputs for row in out.rows.lane_changes),
+        lane_maps=tuple(row for out in outputs for row in out.rows.lane_maps),
     )
 
 

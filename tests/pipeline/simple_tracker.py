@@ -110,6 +110,7 @@ def _estimates(state: SimpleState) -> TrackEstimates:
         existence=ones,
         status=np.where(coasting, TrackStatus.COASTING, TrackStatus.CONFIRMED).astype(np.uint8),
         lane=np.zeros(len(x), dtype=np.uint8),
+        motion=np.zeros(len(x), dtype=np.uint8),
         hits=state.hits[listed],
         born_us=state.born_us[listed],
     )

@@ -1,0 +1,58 @@
+"""Every constant of traffic analysis, joined into one value, and what it needs of the configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from dataclasses import dataclass, field
+
+from service.errors import InvalidInput
+from service.formats.sensor import TRAFFIC_PREFIX, SensorConfig
+from service.tracking.parameters import with_setting
+from service.traffic.paths import PathParameters
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficParameters:
+    """How traffic is analysed; `wayside track --set traffic.<group>.<name>=value` changes one value."""
+
+    paths: PathParameters = field(default_factory=PathParameters)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the parameters as nested plain values."""
+        return dataclasses.asdict(self)
+
+    def digest(self) -> str:
+        """Return twelve hex digits that name this set of values."""
+        text = json.dumps(self.as_dict(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficSetup:
+    """The parameters, and the sensor whose traffic it is."""
+
+    parameters: TrafficParameters
+    config: SensorConfig
+
+    @property
+    def travel_heading_rad(self) -> float | None:
+        """Return the heading that counts as forward, in the plan frame; None: going away from the radar."""
+        heading_deg = self.config.travel_heading_deg
+        return None if heading_deg is None else math.radians(heading_deg - self.config.heading_deg)
+
+
+def traffic_setup(config: SensorConfig) -> TrafficSetup:
+    """Return the setup with the configuration's overrides of parameters; raises InvalidInput."""
+    parameters = TrafficParameters()
+    for key in sorted(config.parameters):
+        if key.startswith(TRAFFIC_PREFIX):
+            try:
+                parameters = with_setting(
+                    parameters, key.removeprefix(TRAFFIC_PREFIX), config.parameters[key]
+                )
+            except InvalidInput as error:
+                raise InvalidInput.at(f"/{key}", error.errors[0].reason) from None
+    return TrafficSetup(parameters, config)

@@ -1,0 +1,112 @@
+"""Keep the paths of the tracks that are being followed, and give out each as its track ends.
+
+A sample is kept for each metre of travel, not for each frame: a queue adds nothing while it stands. The
+samples of a frame are put behind those before it; from time to time all are joined into one table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.tracking.model import F32, I64, Bool, TrackEstimates, TrackStatus
+from service.traffic.model import Moment, Samples, Trajectory, no_samples, take
+
+
+@dataclass(frozen=True, slots=True)
+class PathParameters:
+    """How densely and how far back paths are kept."""
+
+    step_m: float = 1.0  # of travel between two samples
+    most_samples: int = 40_000  # of all tracks; the oldest go first. 60 tracks of 150 m have 9,000
+    join_after: int = 32  # frames whose samples are kept apart
+
+
+@dataclass(frozen=True, slots=True)
+class Paths:
+    """The tracks that are followed, T of them by number, and their samples."""
+
+    number: I64  # (T,)
+    x_m: F32  # where the last sample was taken
+    y_m: F32
+    length_m: F32  # as last known
+    width_m: F32
+    existence: F32
+    past: Samples
+    recent: tuple[Samples, ...]
+
+
+def no_paths() -> Paths:
+    """Return the state before the first frame."""
+    f = np.zeros(0, dtype=np.float32)
+    return Paths(np.zeros(0, dtype=np.int64), f, f, f, f, f, no_samples(), ())
+
+
+def follow(
+    paths: Paths, moment: Moment, now: TrackEstimates, p: PathParameters
+) -> tuple[Paths, tuple[Trajectory, ...]]:
+    """Return the paths with the tracks of one more frame, and those of the tracks that are listed no more.
+
+    Where a track merely coasts no sample is taken: nobody saw it there.
+    """
+    ended: tuple[Trajectory, ...] = ()
+    if np.array_equal(paths.number, now.number):
+        x, y = paths.x_m, paths.y_m
+    else:
+        ended = _ended(paths, now.number)
+        x, y = _last_places(paths, now.number)
+    far = np.hypot(now.x_m - x, now.y_m - y) >= p.step_m
+    due = (far | np.isnan(x)) & (now.status == TrackStatus.CONFIRMED) & (not moment.tick)
+    recent = paths.recent
+    if due.any():
+        x, y = np.where(due, now.x_m, x), np.where(due, now.y_m, y)
+        recent = (*recent, _samples(now, due, moment.time_us))
+    paths = Paths(now.number, x, y, now.length_m, now.width_m, now.existence, paths.past, recent)
+    return (_joined(paths, p) if len(recent) > p.join_after else paths), ended
+
+
+def _samples(now: TrackEstimates, due: Bool, time_us: int) -> Samples:
+    number = now.number[due]
+    time = np.full(len(number), time_us, dtype=np.int64)
+    return Samples(number, time, now.x_m[due], now.y_m[due], now.vx_mps[due], now.vy_mps[due], now.lane[due])
+
+
+def _last_places(paths: Paths, number: I64) -> tuple[F32, F32]:
+    """Return where the last sample of each track now listed was taken, NaN for a new one."""
+    x, y = np.full((2, len(number)), np.nan, dtype=np.float32)
+    _, here, before = np.intersect1d(number, paths.number, assume_unique=True, return_indices=True)
+    x[here], y[here] = paths.x_m[before], paths.y_m[before]
+    return x, y
+
+
+def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
+    gone = np.flatnonzero(~np.isin(paths.number, listed, assume_unique=True))
+    if not len(gone):
+        return ()
+    everything = join((paths.past, *paths.recent))
+    return tuple(
+        Trajectory(
+            number=int(paths.number[i]),
+            samples=take(everything, everything.number == paths.number[i]),
+            length_m=float(paths.length_m[i]),
+            width_m=float(paths.width_m[i]),
+            existence=float(paths.existence[i]),
+        )
+        for i in gone
+    )
+
+
+def _joined(paths: Paths, p: PathParameters) -> Paths:
+    """Return the paths as one table, without the tracks that have ended."""
+    past = join((paths.past, *paths.recent))
+    past = take(past, np.isin(past.number, paths.number))
+    if len(past.number) > p.most_samples:
+        past = take(past, np.arange(len(past.number) - p.most_samples, len(past.number)))
+    return Paths(paths.number, paths.x_m, paths.y_m, paths.length_m, paths.width_m, paths.existence, past, ())
+
+
+def join(parts: tuple[Samples, ...]) -> Samples:
+    """Return several tables of samples as one."""
+    names = ("number", "time_us", "x_m", "y_m", "vx_mps", "vy_mps", "lane")
+    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
