@@ -20,7 +20,7 @@ MAY_IMPORT = {
     "formats": {"tracking"},
     "traffic": {"formats", "tracking"},
     "simulation": {"formats", "traffic", "tracking"},
-    "evaluation": {"formats", "traffic", "tracking"},
+    "evaluation": {"simulation", "formats", "traffic", "tracking"},
     "storage": {"formats", "traffic", "tracking"},
     "warmup": {"tracking"},
     "settings": set[str](),

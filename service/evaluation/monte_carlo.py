@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.filters.base import Filter, FilterState
+from service.tracking.filters.base import Expected, Filter, FilterState
+from service.tracking.geometry import wrap_angle
+from service.tracking.measurement import AZIMUTH
 from service.tracking.model import F64, Bool
-from service.tracking.motion import POSITION, STATES, VELOCITY
+from service.tracking.motion import POSITION, VELOCITY
 from service.tracking.start import VelocityPrior, two_point_state, undirected_prior
 
 LOST_M = 10.0  # a track this far from its vehicle at the end of a run is lost
@@ -18,26 +20,52 @@ LOST_M = 10.0  # a track this far from its vehicle at the end of a run is lost
 class Runs:
     """The estimates of N tracks over K frames; frames before the start are NaN."""
 
-    mean: F64  # (K, N, 6)
-    cov: F64  # (K, N, 6, 6)
+    mean: F64  # (K, N, n); n is 6 on the road
+    cov: F64  # (K, N, n, n)
+    nis: F64 | None = None  # (K, N) normalised innovation squared if asked for, NaN where not measured
 
 
-def run_filter(chosen: Filter, z: F64, R: F64, dt_s: float, start: FilterState | None = None) -> Runs:
-    """Return what the filter makes of measurements z (K, N, 3) with one covariance R (3, 3).
+def run_filter(  # noqa: PLR0913 - one option a keyword
+    chosen: Filter, z: F64, R: F64, dt_s: float, start: FilterState | None = None, *, with_nis: bool = False
+) -> Runs:
+    """Return what the filter makes of measurements z (K, N, m) with one covariance R (m, m).
 
-    A measurement of NaN is a miss. start: the tracks at frame 0; None for the two-point start at frame 1.
+    A measurement of NaN is a miss. start: the tracks at frame 0; None for the two-point start of the road at
+    frame 1.
     """
     frames, tracks = z.shape[:2]
     first = 1 if start is None else 0
     state = two_point_start(chosen, z, R, dt_s) if start is None else start
-    mean, cov = np.full((frames, tracks, STATES), np.nan), np.full((frames, tracks, STATES, STATES), np.nan)
+    states = state.mean.shape[-1]
+    mean, cov = np.full((frames, tracks, states), np.nan), np.full((frames, tracks, states, states), np.nan)
     mean[first], cov[first] = state.mean, state.cov
-    all_R = np.broadcast_to(R, (tracks, 1, *R.shape))
+    all_R, nis = np.broadcast_to(R, (tracks, 1, *R.shape)), np.full((frames, tracks), np.nan)
     for k in range(first + 1, frames):
         beta = np.isfinite(z[k, :, :1]).astype(np.float64)
-        state = chosen.update(chosen.predict(state, dt_s), z[k, :, None], all_R, beta, 1.0 - beta[:, 0])
+        prediction = chosen.predict(state, dt_s)
+        if with_nis:
+            nis[k] = innovation_squared(chosen.expected(prediction), z[k], R)
+        state = chosen.update(prediction, z[k, :, None], all_R, beta, 1.0 - beta[:, 0])
         mean[k], cov[k] = state.mean, state.cov
-    return Runs(mean, cov)
+    return Runs(mean, cov, nis)
+
+
+def innovation_squared(expected: Expected, z: F64, R: F64) -> F64:
+    """Return e' S^-1 e (N,) over the measured channels of z (N, m), NaN where there is none."""
+    e = z - expected.z_hat
+    e[:, AZIMUTH] = wrap_angle(e[:, AZIMUTH])
+    seen = np.isfinite(e)
+    pair = seen[:, :, None] & seen[:, None, :]
+    S = np.where(pair, expected.S_prior + R, np.eye(z.shape[1]))
+    e = np.where(seen, e, 0.0)
+    nis = (e * np.linalg.solve(S, e[..., None])[..., 0]).sum(axis=1)
+    return np.where(seen.any(axis=1), nis, np.nan)
+
+
+def error_squared(runs: Runs, truth: F64, after: int) -> F64:
+    """Return e' P^-1 e (K - after, N), whose mean is the number of states for a consistent filter."""
+    e = (runs.mean - truth)[after:]
+    return np.asarray((e * np.linalg.solve(runs.cov[after:], e[..., None])[..., 0]).sum(axis=-1))
 
 
 def two_point_start(

@@ -81,6 +81,30 @@ def swerve(lateral_mps2: float = 4.0, speed_mps: float = 9.0) -> F64:
     return integrate(_start(-4.0, 130.0, speed_mps), profile)
 
 
+def traffic(rng: np.random.Generator, runs: int, duration_s: float = 30.0) -> F64:
+    """Return (K, runs, 6) vehicles that change lane, brake hard to a standstill, wait, go and brake again.
+
+    Each has its own speed, times and decelerations (5.5 to 7.5 m/s^2); they come from 168 m to about 20 m.
+    """
+    return np.stack([_journey(rng, duration_s) for _ in range(runs)], axis=1)
+
+
+def _journey(rng: np.random.Generator, duration_s: float) -> F64:
+    speed, brake, aside = rng.uniform(11.0, 13.0), rng.uniform(5.5, 7.5), rng.uniform(2.5, 3.5)
+    change, stop = rng.uniform(1.0, 3.0), rng.uniform(6.5, 8.0)
+    go, pull, again = stop + rng.uniform(4.0, 6.0), rng.uniform(1.5, 2.5), rng.uniform(21.0, 24.0)
+    pace = 3.5 * pull
+    rate, side, halt = math.tau / 4.0, rng.choice([-1.0, 1.0]), rng.uniform(2.0, 4.0)
+
+    def profile(t: float) -> tuple[float, float]:
+        lo, hi = (min(max(s - change, 0.0), 4.0) for s in (t, t + PERIOD_S))
+        across = side * aside / 4.0 * (math.cos(rate * lo) - math.cos(rate * hi)) / PERIOD_S
+        along = brake * _within(t, stop, stop + speed / brake) - pull * _within(t, go, go + 3.5)
+        return across, along + halt * _within(t, again, again + pace / halt)
+
+    return integrate(_start(rng.uniform(-8.0, 8.0), 168.0, speed), profile, duration_s)
+
+
 def integrate(start: F64, profile: Profile, duration_s: float = DURATION_S, dt_s: float = PERIOD_S) -> F64:
     """Return the states at t = 0, dt, ...; each step has the acceleration of the profile at its start."""
     steps = round(duration_s / dt_s)

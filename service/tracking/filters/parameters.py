@@ -88,6 +88,56 @@ class AstekfPaperParameters:
     gate_release_frames: int | None = 3
 
 
+@dataclass(frozen=True, slots=True)
+class UkfParameters:
+    """Unscented Kalman filter over the damped constant-acceleration model of the EKF."""
+
+    accel_std_mps2: float = 0.177
+    accel_tau_s: float | None = 1.3
+    spread: float = 1.0  # [alpha] of the sigma points; 0.001 in the paper, which is the same to four digits
+    robust_gate: float | None = 16.0
+    gate_release_frames: int | None = 3
+
+
+@dataclass(frozen=True, slots=True)
+class StUkfParameters:
+    """ST-UKF and AST-UKF: one fading factor. "MAST" below is Appl. Sci. 2025, 15, 3276."""
+
+    accel_std_mps2: float = 0.177
+    accel_tau_s: float | None = 1.3
+    spread: float = 1.0
+    forgetting: float = 0.95  # [rho] MAST, eq. 22
+    softening: float = 4.0  # [beta] study: without it the filter fades on noise
+    lambda_max: float = 1.3  # factors compound: 1.3 at 20 Hz, 4 at 1 Hz; study
+    robust_gate: float | None = 16.0
+    gate_release_frames: int | None = 3
+
+
+@dataclass(frozen=True, slots=True)
+class MastUkfParameters:
+    """MAST-UKF: factors D on Q for each axis and J on R for each channel; gains are per frame of 0.05 s."""
+
+    accel_std_mps2: float = 0.177
+    accel_tau_s: float | None = 1.3
+    spread: float = 1.0
+    form: str = "safe"  # "paper" and "printed" are for comparison: they lose manoeuvring targets
+    axis_gain: float = 0.0488  # log 1.05: D changes by 0.95 to 1.05 a frame; MAST, eq. 3
+    axis_max: float = 64.0  # bound of D and 1/D; study
+    residual_max: float = 3.0  # normalised residuals are clipped here
+    product_gain: float = 0.1  # weight of the newest product of successive residuals
+    white_product: float = 0.5  # residuals are white while the running product stays below
+    noise_gain: float = 0.03  # of log J
+    noise_mean: float = 0.92  # mean of min(e^2, 4) of a standard normal e
+    noise_cap: float = 4.0
+    noise_max: float = 25.0  # bound of J
+    manoeuvre_residual: float = 1.5  # two successive residuals beyond it, of one sign, are a manoeuvre
+    manoeuvre_fading: float = 2.0  # of the covariance of that axis
+    outlier_limit: float = 6.6  # chi-square of one channel, 99 %
+    forgetting: float = 0.95  # [rho] of the paper's form; eq. 22
+    window: int = 30  # frames of the paper's comparison; eq. 6
+    every: int = 10  # frames between its decisions
+
+
 UNBOUNDED = 1e9  # a fading factor that no data of the paper reaches
 
 # The rows of the paper's tables 2 and 3: no guards.
@@ -106,3 +156,7 @@ class FilterParameters:
     stekf: StekfParameters = field(default_factory=StekfParameters)
     astekf: AstekfParameters = field(default_factory=AstekfParameters)
     astekf_paper: AstekfPaperParameters = field(default_factory=AstekfPaperParameters)
+    ukf: UkfParameters = field(default_factory=UkfParameters)
+    st_ukf: StUkfParameters = field(default_factory=StUkfParameters)
+    ast_ukf: StUkfParameters = field(default_factory=StUkfParameters)
+    mast_ukf: MastUkfParameters = field(default_factory=MastUkfParameters)

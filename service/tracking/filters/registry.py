@@ -8,9 +8,11 @@ from types import MappingProxyType
 from service.errors import InvalidInput
 from service.tracking.filters.base import Filter
 from service.tracking.filters.ekf import Ekf
+from service.tracking.filters.mast_ukf import mast_ukf
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.filters.strong_tracking import Astekf
 from service.tracking.filters.strong_tracking_paper import AstekfPaper, Stekf
+from service.tracking.filters.ukf import ast_ukf, st_ukf, ukf
 
 _MAKERS: Mapping[str, Callable[[FilterParameters], Filter]] = MappingProxyType(
     {
@@ -18,6 +20,10 @@ _MAKERS: Mapping[str, Callable[[FilterParameters], Filter]] = MappingProxyType(
         "astekf-paper": lambda p: AstekfPaper(p.astekf_paper),
         "ekf": lambda p: Ekf(p.ekf),
         "stekf": lambda p: Stekf(p.stekf),
+        "ukf": lambda p: ukf(p.ukf),
+        "st-ukf": lambda p: st_ukf(p.st_ukf),
+        "ast-ukf": lambda p: ast_ukf(p.ast_ukf),
+        "mast-ukf": lambda p: mast_ukf(p.mast_ukf),
     }
 )
 

@@ -15,7 +15,7 @@ def test_the_family_is_there():
 
 
 def test_an_unknown_filter_is_refused_with_the_names_of_the_known():
-    with pytest.raises(InvalidInput, match=r"known are astekf, astekf-paper, ") as caught:
+    with pytest.raises(InvalidInput, match=r"known are .*astekf, astekf-paper, ") as caught:
         make_filter("kalman")
 
     assert caught.value.errors[0].pointer == "/filter"
