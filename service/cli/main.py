@@ -13,6 +13,7 @@ from service.cli.demo import demo
 from service.cli.evaluate import evaluate
 from service.cli.migrate import migrate
 from service.cli.replay import replay
+from service.cli.reproduce import reproduce
 from service.cli.serve import serve
 from service.cli.simulate import simulate
 from service.cli.track import track
@@ -23,7 +24,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (demo, serve, track, replay, simulate, evaluate, bench, migrate):
+for command in (demo, serve, track, replay, simulate, evaluate, reproduce, bench, migrate):
     app.command()(command)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")

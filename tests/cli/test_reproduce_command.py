@@ -1,0 +1,42 @@
+"""`wayside reproduce`: every table and figure of a paper as tables, Markdown, JSON and plots."""
+
+import json
+
+import pytest
+
+EXPECTED = {
+    "hpff": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in range(4, 8)}),
+}
+
+
+@pytest.mark.parametrize("paper", list(EXPECTED))
+def test_every_table_and_figure_is_listed_and_written(run, tmp_path, paper):
+    out = tmp_path / "out"
+
+    shown = run("reproduce", paper, "--runs", "3", "--out", out, "--no-progress").stdout
+
+    written = json.loads((out / f"reproduce-{paper}.json").read_text())
+    tables, figures = EXPECTED[paper]
+    assert tables <= {table["number"] for table in written["tables"]}
+    assert figures <= {figure["number"] for figure in written["figures"]}
+    assert written["holds"]
+    assert written["fails"]
+    markdown = (out / f"reproduce-{paper}.md").read_text()
+    for number in tables | figures:
+        assert f"## {number}: " in markdown
+        assert f"{number}: " in shown
+    assert list(out.glob(f"{paper}-figure-*.png"))
+    assert json.loads((out / "reproduce.json").read_text())["papers"] == [paper]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("nobody",), "no paper 'nobody'; known are "),
+        (("hpff", "--plots"), "name a folder with --out"),
+    ],
+)
+def test_what_is_wrong_is_told_in_a_sentence(run, arguments, sentence):
+    result = run("reproduce", *arguments, code=2)
+
+    assert sentence in result.stderr
