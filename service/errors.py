@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class InvalidInput(WaysideError):  # noqa: N818 - reads as a sentence where it i
         self.errors = tuple(errors)
 
     @classmethod
-    def at(cls, pointer: str, reason: str) -> InvalidInput:
+    def at(cls, pointer: str, reason: str) -> Self:
         """Return the error for one field."""
         return cls(f"{pointer or 'body'}: {reason}", (FieldError(pointer, reason),))
 

@@ -63,12 +63,30 @@ class Telemetry:
         self.flush_failures = Counter(
             "wayside_flush_failures", "Flushes that will be tried again.", registry=self.registry
         )
+        self.clock_skew = Gauge(
+            "wayside_sensor_clock_skew_seconds",
+            "The sensor's clock less the host's, by its least delayed frames.",
+            sensor,
+            registry=self.registry,
+        )
+        self.clock_jitter = Gauge(
+            "wayside_sensor_clock_jitter_seconds",
+            "Unsteadiness of arrival against the sensor's times (RFC 3550).",
+            sensor,
+            registry=self.registry,
+        )
         self.log_bytes = Gauge("wayside_log_bytes", "Size of the frame log.", registry=self.registry)
         self.log_damaged = Gauge(
             "wayside_log_damaged_records", "Records left out as damaged.", registry=self.registry
         )
         self.build = Gauge("wayside_build_info", "1, with the version.", ("version",), registry=self.registry)
         self.build.labels(__version__).set(1)
+
+    def show_clock(self, sensor_id: str, skew_s: float | None, jitter_s: float | None) -> None:
+        """Set the gauges of a sensor's clock where it is known."""
+        if skew_s is not None and jitter_s is not None:
+            self.clock_skew.labels(sensor_id).set(skew_s)
+            self.clock_jitter.labels(sensor_id).set(jitter_s)
 
     def text(self) -> bytes:
         """Return every metric in Prometheus' text format."""

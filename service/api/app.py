@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from anyio import to_thread
+from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from sqlalchemy import Engine
@@ -25,11 +25,14 @@ from service.api import (
     sensors,
     tracks,
 )
+from service.api.bodies import BodyRoom
 from service.api.dependencies import Services
 from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
 from service.api.security import Keyring, is_loopback
 from service.pipeline.host import EmbeddedHost
 from service.settings import Settings
+
+PARSED_BATCHES = 2  # at once; parsing holds the interpreter, so more would only take memory
 
 
 def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecure: bool = False) -> FastAPI:
@@ -57,7 +60,13 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         generate_unique_id_function=_operation_id,
     )
     app.state.services = Services(
-        host, engine, settings, Keyring(engine, local=local or insecure), asyncio.Event()
+        host,
+        engine,
+        settings,
+        Keyring(engine, local=local or insecure),
+        asyncio.Event(),
+        BodyRoom(settings.body_limit_bytes),
+        CapacityLimiter(PARSED_BATCHES),
     )
     for module in (frames, live, tracks, sensors, events, keys, health, reference, dashboard):
         app.include_router(module.router)

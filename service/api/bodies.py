@@ -1,42 +1,109 @@
-"""Read request bodies with a limit that holds before and after decompression."""
+"""Read request bodies with limits that hold before and after decompression, in time and for all together."""
 
 from __future__ import annotations
 
-import zlib
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from fastapi import Request
+from anyio import to_thread
+from starlette.requests import Request
 
+from service.api.compression import ENCODINGS, inflate, too_large
 from service.api.problems import HttpProblem
+from service.errors import Unavailable
 
 JSON_TYPES = frozenset({"", "application/json"})  # a client that names no type is taken to mean JSON
 NDJSON_TYPES = frozenset({"application/x-ndjson", "application/jsonl", "application/jsonlines"})
 
-_GZIP_WINDOW = 16 + zlib.MAX_WBITS  # zlib: expect a gzip header
+BODY_TIME_S = 30.0  # for a whole body to arrive; slower ones would hold their memory for ever
+HELD_BODIES = 8  # of the largest size, that may be in work at once
+INLINE_BYTES = 4096  # a larger compressed body is inflated in a thread: up to 4 MB come out of so many
 
 
-async def read_body(request: Request, limit_bytes: int) -> bytes:
-    """Return the body, decompressed; raises HttpProblem 413 as soon as it outgrows the limit, 415 or 400."""
+class BodyRoom:
+    """Counts the bytes of bodies in work, so that many large ones at once cannot fill the memory."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self.limit_bytes = limit_bytes  # of one body, before and after decompression
+        self._room_bytes = HELD_BODIES * limit_bytes
+        self._held_bytes = 0
+
+    @contextmanager
+    def hold(self) -> Iterator[Held]:
+        """Give back at the end what was taken for one request."""
+        held = Held(self)
+        try:
+            yield held
+        finally:
+            self._held_bytes -= held.bytes
+
+    def take(self, count: int) -> None:
+        """Take room for so many bytes; raises Unavailable when there is none."""
+        if self._held_bytes + count > self._room_bytes:
+            raise Unavailable(f"bodies of {self._held_bytes} bytes are in work; try again", 1.0)
+        self._held_bytes += count
+
+
+class Held:
+    """What one request holds of the room."""
+
+    __slots__ = ("_room", "bytes")
+
+    def __init__(self, room: BodyRoom) -> None:
+        self._room = room
+        self.bytes = 0
+
+    def add(self, count: int) -> None:
+        """Take more; raises Unavailable."""
+        self._room.take(count)
+        self.bytes += count
+
+
+async def read_body(request: Request, limit_bytes: int, held: Held | None = None) -> bytes:
+    """Return the body, decompressed.
+
+    Raises HttpProblem 413 as soon as it outgrows the limit, 415, 408 or 400, and Unavailable when bodies of
+    other requests leave no room.
+    """
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
-    if encoding not in {"identity", "gzip", "x-gzip"}:
+    if encoding != "identity" and encoding not in ENCODINGS:
         raise HttpProblem(
             "unsupported-media-type",
-            f"want Content-Encoding gzip or none, got {encoding!r}",
-            {"Accept-Encoding": "gzip"},
+            f"want Content-Encoding gzip, zstd or none, got {encoding[:100]!r}",
+            {"Accept-Encoding": "gzip, zstd"},
         )
     declared = request.headers.get("content-length", "")
     if declared.isdigit() and int(declared) > limit_bytes:
-        raise _too_large(limit_bytes)
-    inflater = None if encoding == "identity" else _Inflater(limit_bytes)
+        raise too_large(limit_bytes)
+    try:
+        async with asyncio.timeout(BODY_TIME_S):
+            body = await _arrived(request, limit_bytes, held)
+    except TimeoutError:
+        raise HttpProblem("too-slow", f"the body did not arrive within {BODY_TIME_S:.0f} s") from None
+    if encoding == "identity":
+        return body
+    if len(body) <= INLINE_BYTES:
+        plain = inflate(body, encoding, limit_bytes)
+    else:
+        plain = await to_thread.run_sync(inflate, body, encoding, limit_bytes)
+    if held is not None:
+        held.add(len(plain))
+    return plain
+
+
+async def _arrived(request: Request, limit_bytes: int, held: Held | None) -> bytes:
     parts: list[bytes] = []
     received = 0
     async for chunk in request.stream():
         received += len(chunk)
         if received > limit_bytes:
-            raise _too_large(limit_bytes)
-        parts.append(chunk if inflater is None else inflater.feed(chunk))
-    if inflater is not None:
-        inflater.finish()
-    return b"".join(parts)
+            raise too_large(limit_bytes)
+        if held is not None:
+            held.add(len(chunk))
+        if chunk:
+            parts.append(chunk)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
 def media_type(request: Request) -> str:
@@ -49,45 +116,13 @@ def is_ndjson(request: Request) -> bool:
     kind = media_type(request)
     if kind in NDJSON_TYPES:
         return True
-    if kind in JSON_TYPES or kind.endswith("+json"):
+    if is_json(kind):
         return False
     raise HttpProblem(
-        "unsupported-media-type", f"want application/json or application/x-ndjson, got {kind!r}"
+        "unsupported-media-type", f"want application/json or application/x-ndjson, got {kind[:100]!r}"
     )
 
 
-class _Inflater:
-    """Decompresses gzip (also several members one after the other) and never holds more than the limit."""
-
-    def __init__(self, limit_bytes: int) -> None:
-        self._limit_bytes = limit_bytes
-        self._given = 0
-        self._inner = zlib.decompressobj(_GZIP_WINDOW)
-        self._begun = False
-
-    def feed(self, chunk: bytes) -> bytes:
-        """Return what the chunk adds."""
-        parts: list[bytes] = []
-        while chunk:
-            if self._inner.eof:
-                self._inner = zlib.decompressobj(_GZIP_WINDOW)
-            self._begun = True
-            try:
-                part = self._inner.decompress(chunk, self._limit_bytes - self._given + 1)
-            except zlib.error as error:
-                raise HttpProblem("bad-request", f"the gzip data are damaged: {error}") from None
-            self._given += len(part)
-            if self._given > self._limit_bytes:
-                raise _too_large(self._limit_bytes)
-            parts.append(part)
-            chunk = self._inner.unused_data if self._inner.eof else self._inner.unconsumed_tail
-        return b"".join(parts)
-
-    def finish(self) -> None:
-        """Raise HttpProblem when the data stop in the middle of a member."""
-        if self._begun and not self._inner.eof:
-            raise HttpProblem("bad-request", "the gzip data are truncated")
-
-
-def _too_large(limit_bytes: int) -> HttpProblem:
-    return HttpProblem("too-large", f"the body has more than {limit_bytes} bytes")
+def is_json(kind: str) -> bool:
+    """Return whether a media type is JSON or built on it."""
+    return kind in JSON_TYPES or kind.endswith("+json")

@@ -7,10 +7,11 @@ from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, cast
 
-from anyio import to_thread
+from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Path, Query, Request
 from sqlalchemy import Connection, Engine
 
+from service.api.bodies import BodyRoom
 from service.api.problems import HttpProblem
 from service.api.security import SESSION_COOKIE, Caller, Keyring
 from service.errors import InvalidInput
@@ -32,6 +33,8 @@ class Services:
     settings: Settings
     keyring: Keyring
     closing: asyncio.Event  # set when the server begins to stop: replies that wait end
+    room: BodyRoom  # for bodies of frames
+    batches: CapacityLimiter  # batches that are parsed at once: each may take ten times its size in memory
 
 
 def services_of(request: Request) -> Services:

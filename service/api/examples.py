@@ -206,6 +206,10 @@ HEALTH: Final = {
             "frame_age_s": 0.04,
             "stored_age_s": 0.6,
             "clock_ahead_s": -0.012,
+            "clock_skew_s": -0.009,
+            "clock_drift_ppm": 12.5,
+            "clock_jitter_s": 0.0021,
+            "clock_steps": 0,
             "queue_depth": 0,
         }
     ],

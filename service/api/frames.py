@@ -13,10 +13,11 @@ from service.api.bodies import is_ndjson, read_body
 from service.api.dependencies import PREFIX, SensorPath, admit
 from service.api.problems import HttpProblem
 from service.api.track_schemas import BatchReply, FrameReply
-from service.errors import Conflict, FieldError, InvalidFrame
-from service.formats.json_frames import json_kind, load_json, parse_bytes, parse_frame
+from service.errors import Conflict, FieldError, InvalidFrame, InvalidInput
+from service.formats.json_frames import json_kind, parse_bytes, parse_frame
 from service.formats.sensor import SensorConfig
-from service.pipeline.host import Outcome
+from service.formats.strict_json import read_json
+from service.pipeline.door import ItemResult, Outcome
 from service.tracking.model import Frame
 
 router = APIRouter(prefix=PREFIX)
@@ -52,9 +53,14 @@ async def post_frame(sensor_id: SensorPath, request: Request) -> Response:
     config = services.host.config(sensor_id)
     if is_ndjson(request):
         raise HttpProblem("unsupported-media-type", "NDJSON is for frames:batch; want application/json")
-    body = await read_body(request, services.settings.body_limit_bytes)
-    frame = await _in_time(body, config)
-    result = (await services.host.submit(sensor_id, [frame]))[0]
+    with services.room.hold() as held:
+        body = await read_body(request, services.room.limit_bytes, held)
+        try:
+            frame = await _in_time(body, config)
+        except InvalidFrame:
+            services.host.count_rejected(sensor_id, 1)
+            raise
+        result = (await services.host.submit(sensor_id, [frame]))[0]
     match result.outcome:
         case Outcome.CONFLICT:
             raise Conflict(result.reason or "the frame came before with another content")
@@ -79,9 +85,13 @@ async def post_frames(sensor_id: SensorPath, request: Request) -> Response:
     services = await admit(request, "ingest", sensor_id)
     config = services.host.config(sensor_id)
     ndjson = is_ndjson(request)
-    body = await read_body(request, services.settings.body_limit_bytes)
-    parsed = await to_thread.run_sync(_parse_batch, body, config, ndjson)
-    outcomes = await services.host.submit(sensor_id, list(parsed.frames.values())) if parsed.frames else []
+    with services.room.hold() as held:
+        body = await read_body(request, services.room.limit_bytes, held)
+        parsed = await to_thread.run_sync(_parse_batch, body, config, ndjson, limiter=services.batches)
+        if parsed.faults:
+            services.host.count_rejected(sensor_id, len(parsed.faults))
+        frames = list(parsed.frames.values())
+        outcomes = await services.host.submit(sensor_id, frames) if frames else []
     results: dict[int, dict[str, object]] = {
         index: _rejected(index, fault, named=count < NAMED_FRAMES_MAX)
         for count, (index, fault) in enumerate(parsed.faults.items())
@@ -92,7 +102,7 @@ async def post_frames(sensor_id: SensorPath, request: Request) -> Response:
             "status": result.outcome,
             "frame": frame.sequence,
             "detail": result.reason,
-            "errors": [],
+            "errors": [_refused(index, result)] if result.outcome is Outcome.REJECTED else [],
         }
     return Response(
         orjson.dumps(_batch_reply(results)), status.HTTP_202_ACCEPTED, media_type="application/json"
@@ -108,10 +118,12 @@ async def _in_time(body: bytes, config: SensorConfig) -> Frame:
 def _parse_batch(body: bytes, config: SensorConfig, ndjson: bool) -> _Parsed:  # noqa: FBT001 - run_sync has no keywords
     """Return the frames of a batch; raises InvalidFrame when the body as a whole is wrong."""
     parsed = _Parsed({}, {})
-    items: list[object] = list(_lines(body)) if ndjson else _array(body)
+    items: list[object] = list(_lines(body)) if ndjson else _array(body, parsed.faults)
     if len(items) > BATCH_FRAMES_MAX:
         raise InvalidFrame.at("", f"has {len(items)} frames, at most {BATCH_FRAMES_MAX} are taken at once")
     for index, item in enumerate(items):
+        if index in parsed.faults:
+            continue
         try:
             frame = parse_bytes(item, config) if isinstance(item, bytes) else parse_frame(item, config)
         except InvalidFrame as fault:
@@ -121,10 +133,17 @@ def _parse_batch(body: bytes, config: SensorConfig, ndjson: bool) -> _Parsed:  #
     return parsed
 
 
-def _array(body: bytes) -> list[object]:
-    value = load_json(body)
+def _array(body: bytes, faults: dict[int, InvalidFrame]) -> list[object]:
+    """Return the frames of a JSON array; adds those with a repeated member to `faults`."""
+    try:
+        value, repeated = read_json(body)
+    except InvalidInput as error:
+        raise InvalidFrame(str(error), error.errors) from None
     if not isinstance(value, list):
         raise InvalidFrame.at("", f"want an array of frames, got {json_kind(value)}")
+    for fault in repeated:
+        index, _, rest = fault.pointer[1:].partition("/")
+        faults.setdefault(int(index), InvalidFrame.at(f"/{rest}", fault.reason))
     return value
 
 
@@ -140,6 +159,10 @@ def _rejected(index: int, fault: InvalidFrame, *, named: bool) -> dict[str, obje
         "detail": str(fault),
         "errors": [_named(index, error) for error in fault.errors] if named else [],
     }
+
+
+def _refused(index: int, result: ItemResult) -> dict[str, str]:
+    return {"pointer": f"/{index}/timestamp", "detail": result.reason or "is not taken"}
 
 
 def _named(index: int, error: FieldError) -> dict[str, str]:

@@ -14,12 +14,15 @@ from urllib.parse import urlsplit
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import KINDS, problem_response
 from service.api.security import host_name
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
+
+CLIENT_LEFT = 499  # in the metrics, for requests whose sender hung up; nobody is there to hear it
 
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _METHODS = _SAFE_METHODS | {"POST", "PATCH", "PUT", "DELETE"}
@@ -95,6 +98,9 @@ class Gate:
                 return
             try:
                 await self._app(scope, receive, send_marked)
+            except ClientDisconnect:
+                status = status or CLIENT_LEFT
+                _log.debug("client left", method=scope["method"], path=scope["path"])
             except Exception:
                 _log.exception("request failed", method=scope["method"], path=scope["path"])
                 if status:  # the reply has begun: cutting it off is the only way left to tell the client

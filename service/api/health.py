@@ -84,7 +84,11 @@ def _sensor(sensor: SensorHealth) -> SensorHealthReply:
         epoch=sensor.epoch,
         frame_age_s=_rounded(sensor.frame_age_s),
         stored_age_s=_rounded(sensor.stored_age_s),
-        clock_ahead_s=_rounded(sensor.clock_ahead_s),
+        clock_ahead_s=_rounded(sensor.clock.ahead_s),
+        clock_skew_s=_rounded(sensor.clock.skew_s),
+        clock_drift_ppm=sensor.clock.drift_ppm,
+        clock_jitter_s=None if sensor.clock.jitter_s is None else round(sensor.clock.jitter_s, 6),
+        clock_steps=sensor.clock.steps,
         queue_depth=sensor.queue_depth,
     )
 

@@ -91,6 +91,12 @@ KINDS = {
             "Not acceptable",
             "None of the media types in Accept can be given; `detail` lists them.",
         ),
+        Kind(
+            "too-slow",
+            408,
+            "Too slow",
+            "The body of the request did not arrive in time.",
+        ),
         Kind("conflict", 409, "Conflict", "The thing exists already, or exists with another content."),
         Kind(
             "too-large",
@@ -102,7 +108,8 @@ KINDS = {
             "unsupported-media-type",
             415,
             "Unsupported media type",
-            "Send application/json or application/x-ndjson, plain or with Content-Encoding gzip.",
+            "Send application/json, to frames:batch also application/x-ndjson; frames may have "
+            "Content-Encoding gzip or zstd.",
         ),
         Kind(
             "misdirected",

@@ -198,6 +198,10 @@ class SensorHealthReply(BaseModel):
     frame_age_s: float | None = Field(description="since the newest tracked frame was received")
     stored_age_s: float | None = Field(description="since rows of it were stored")
     clock_ahead_s: float | None = Field(description="the sensor's clock less the host's; transport included")
+    clock_skew_s: float | None = Field(description="the same by the least delayed frames of the last 20 s")
+    clock_drift_ppm: float | None = Field(description="of the skew, over one to ten minutes")
+    clock_jitter_s: float | None = Field(description="unsteadiness of arrival (RFC 3550, 6.4.1)")
+    clock_steps: int = Field(description="how often the clock was set, since the service started")
     queue_depth: int = Field(description="records that are logged and not tracked yet")
 
 

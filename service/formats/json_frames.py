@@ -17,11 +17,12 @@ from typing import cast
 import numpy as np
 import orjson
 
-from service.errors import FieldError, InvalidFrame
+from service.errors import FieldError, InvalidFrame, InvalidInput
 from service.formats.detections import Columns, read_detections
 from service.formats.json_lines import numbered_lines
 from service.formats.rfc3339 import format_time_exact, parse_time_us
 from service.formats.sensor import SensorConfig
+from service.formats.strict_json import strict_json
 from service.tracking.model import F32, Frame
 
 MAX_POINTS = 4096  # a 4D automotive radar gives about 1,000 a scan
@@ -46,11 +47,11 @@ def parse_bytes(body: bytes, config: SensorConfig, max_points: int = MAX_POINTS)
 
 
 def load_json(body: bytes) -> object:
-    """Return the value of one JSON text; raises InvalidFrame when it is none."""
+    """Return the value of one JSON text; raises InvalidFrame when it is none, or not a clear one."""
     try:
-        return cast("object", orjson.loads(body))
-    except orjson.JSONDecodeError as error:
-        raise InvalidFrame.at("", f"is not JSON: {error}") from None
+        return strict_json(body)
+    except InvalidInput as error:
+        raise InvalidFrame(str(error), error.errors) from None
 
 
 def parse_frame(obj: object, config: SensorConfig, max_points: int = MAX_POINTS) -> Frame:

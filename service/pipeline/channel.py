@@ -11,6 +11,7 @@ from sqlalchemy import Engine
 from service.errors import SnapshotUnreadable
 from service.formats.sensor import SensorConfig
 from service.pipeline import fold_snapshot
+from service.pipeline.clocks import ClockWatch
 from service.pipeline.fold import start
 from service.pipeline.fold_state import Folded, FoldState, S, Tracker
 from service.pipeline.log import FrameLog
@@ -47,6 +48,8 @@ class Channel(Generic[S]):
     door: OrderState  # what the order will be once every logged record is folded
     durable_door: OrderState  # the same for the records known to be durable
     heard_us: int  # host's time of the newest arrival
+    door_failures: int = 0  # submissions that the log refused
+    clock: ClockWatch = field(default_factory=ClockWatch)
     # The tracker thread:
     rows: list[Rows] = field(default_factory=list)
     restarts: list[Restart] = field(default_factory=list)

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from types import ModuleType
 from typing import Any
 
@@ -16,10 +15,12 @@ from sqlalchemy import Engine
 from service.errors import NotFound, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
 from service.pipeline.channel import Channel, open_channel
+from service.pipeline.clocks import ClockReport
+from service.pipeline.door import Door, ItemResult
 from service.pipeline.fold_state import Tracker
 from service.pipeline.live import LiveState, LiveView
-from service.pipeline.order import Fate, admit, flush
-from service.pipeline.records import ControlRecord, FrameRecord, Record
+from service.pipeline.order import flush
+from service.pipeline.records import ControlRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from service.pipeline.tracker_thread import Pace, TrackerThread
 from service.settings import Settings
@@ -36,24 +37,6 @@ _US_PER_S = 1_000_000
 _PAGE = 1000
 
 
-class Outcome(StrEnum):
-    """What the caller hears of a posted frame; the fold decides by log order."""
-
-    ACCEPTED = "accepted"
-    DUPLICATE = "duplicate"
-    LATE = "late"
-    CONFLICT = "conflict"
-    REJECTED = "rejected"
-
-
-@dataclass(frozen=True, slots=True)
-class ItemResult:
-    """What became of one posted frame."""
-
-    outcome: Outcome
-    reason: str | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class SensorHealth:
     """Where one sensor stands."""
@@ -68,7 +51,7 @@ class SensorHealth:
     received_us: int | None  # host's time of the newest folded frame
     frame_age_s: float | None  # since then
     stored_age_s: float | None  # since rows were stored last
-    clock_ahead_s: float | None  # the sensor's clock less the host's, at the newest frame; transport included
+    clock: ClockReport  # the sensor's clock against the host's
 
     @property
     def queue_depth(self) -> int:
@@ -114,6 +97,7 @@ class EmbeddedHost:
         self._channels: dict[str, Channel[Any]] = {}  # replaced, never changed
         self._configuring = threading.Lock()
         self._frame_log: SqliteLog | None = None
+        self._door: Door | None = None
         self._thread: TrackerThread[Any] | None = None
         self._upkeep: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -132,6 +116,7 @@ class EmbeddedHost:
             free_share=self._settings.disk_free_min_share,
         )
         self._frame_log = SqliteLog(self._settings.log_dir, limits, on_durable=self._on_durable)
+        self._door = Door(self._frame_log, self.telemetry, self._settings.clock_ahead_limit_s)
         pace = Pace(
             self._settings.flush_interval_s,
             self._settings.snapshot_interval_s,
@@ -253,43 +238,15 @@ class EmbeddedHost:
 
         Raises NotFound, and Unavailable when the log or the disk is full.
         """
-        channel, frame_log = self._channel(sensor_id), self._log()
-        if not self.ready:
+        channel = self._channel(sensor_id)
+        if not self.ready or self._door is None:
             raise Unavailable("the service is not ready")
-        received_us, started_s = self._clock_us(), time.perf_counter()
-        results: list[ItemResult] = []
-        records: list[Record] = []
-        door = channel.door
-        for frame in frames:
-            refusal = self._refusal(sensor_id, frame, received_us)
-            if refusal is not None:
-                results.append(ItemResult(Outcome.REJECTED, refusal))
-                continue
-            door, admission = admit(door, frame)
-            results.append(_result(admission.fate, frame))
-            records.append(FrameRecord(frame, received_us))
-        if not records:
-            return results
-        channel.door = door
-        try:
-            await frame_log.append_async(sensor_id, records)
-        except WaysideError:
-            # The frames will come again: they must not be taken for repeats then.
-            channel.door = channel.durable_door
-            raise
-        channel.durable_door = door
-        channel.heard_us = received_us
-        self.telemetry.stage.labels("durable").observe(time.perf_counter() - started_s)
-        return results
+        return await self._door.submit(channel, frames, self._clock_us())
 
-    def _refusal(self, sensor_id: str, frame: Frame, received_us: int) -> str | None:
-        if frame.sensor_id != sensor_id:
-            return f"the frame is of {frame.sensor_id}, not of {sensor_id}"
-        ahead_s = (frame.time_us - received_us) / _US_PER_S
-        limit_s = self._settings.clock_ahead_limit_s
-        if ahead_s > limit_s:
-            return f"its time is {ahead_s:.0f} s ahead of the host's, want at most {limit_s:.0f} s"
-        return None
+    def count_rejected(self, sensor_id: str, count: int) -> None:
+        """Count frames of a sensor that could not be read."""
+        if self._door is not None:
+            self._door.count_rejected(sensor_id, count)
 
     def _on_durable(self, sensor_id: str, position: int) -> None:  # noqa: ARG002 - what the log tells
         if self._thread is not None:
@@ -303,6 +260,7 @@ class EmbeddedHost:
         sensors = tuple(self._sensor_health(channel, now_us) for channel in self._channels.values())
         for sensor in sensors:
             self.telemetry.queue.labels(sensor.sensor_id).set(sensor.queue_depth)
+            self.telemetry.show_clock(sensor.sensor_id, sensor.clock.skew_s, sensor.clock.jitter_s)
         log_bytes = 0 if self._frame_log is None else self._frame_log.size_bytes()
         damaged = 0 if self._frame_log is None else self._frame_log.damaged_records
         self.telemetry.log_bytes.set(log_bytes)
@@ -317,7 +275,7 @@ class EmbeddedHost:
 
     def _sensor_health(self, channel: Channel[Any], now_us: int) -> SensorHealth:
         entry = self.live.newest(channel.sensor_id)
-        received_us, newest = channel.received_us, channel.newest_frame
+        received_us = channel.received_us
         return SensorHealth(
             sensor_id=channel.sensor_id,
             state="waiting" if entry is None else entry.state(now_us),
@@ -329,26 +287,9 @@ class EmbeddedHost:
             received_us=received_us,
             frame_age_s=_age_s(now_us, received_us),
             stored_age_s=_age_s(now_us, channel.stored_us),
-            clock_ahead_s=(
-                None if newest is None or received_us is None else (newest.time_us - received_us) / _US_PER_S
-            ),
+            clock=channel.clock.report(),
         )
 
 
 def _age_s(now_us: int, then_us: int | None) -> float | None:
     return None if then_us is None else (now_us - then_us) / _US_PER_S
-
-
-def _result(fate: Fate, frame: Frame) -> ItemResult:
-    name = f"at {frame.time_us} us" if frame.sequence is None else str(frame.sequence)
-    match fate:
-        case Fate.DUPLICATE:
-            return ItemResult(Outcome.DUPLICATE)
-        case Fate.LATE:
-            return ItemResult(
-                Outcome.LATE, f"frame {name} came after later ones were tracked; it is kept, not tracked"
-            )
-        case Fate.CONFLICT:
-            return ItemResult(Outcome.CONFLICT, f"frame {name} came before with another content")
-        case _:
-            return ItemResult(Outcome.ACCEPTED)

@@ -247,7 +247,7 @@ def test_hostile_bytes_raise_nothing_but_invalid_frame(body):
 
 @pytest.mark.parametrize("body", [b"[" * 100_000, b'{"a": 1e999', b"\xff", b"NaN", b""])
 def test_what_is_not_json_is_refused(body):
-    with pytest.raises(InvalidFrame, match="is not JSON"):
+    with pytest.raises(InvalidFrame, match=r"is not JSON|nearly empty"):
         parse_bytes(body, CONFIG)
 
 

@@ -14,8 +14,9 @@ from sqlalchemy import Engine, delete, update
 
 from service.errors import NotFound, StorageError, Unavailable
 from service.formats.tracks import stored_line
+from service.pipeline.door import Outcome
 from service.pipeline.fold import TICK_US
-from service.pipeline.host import EmbeddedHost, Outcome
+from service.pipeline.host import EmbeddedHost
 from service.pipeline.offline import track
 from service.pipeline.tracker_thread import TICK_GRACE_US
 from service.settings import Settings
@@ -180,7 +181,7 @@ def test_frames_of_another_sensor_or_of_the_far_future_are_rejected(running, clo
     ahead = frame(2, clock.now_us + 61 * SECOND_US)
     strange = dataclasses.replace(frame(1, START_US), sensor_id="radar-9")
     with running() as host:
-        host._settings = Settings(clock_ahead_limit_s=60)
+        host._door._ahead_limit_s = 60.0
         results = asyncio.run(host.submit("radar-1", [strange, ahead, frame(1, START_US)]))
 
     assert [result.outcome for result in results] == [Outcome.REJECTED, Outcome.REJECTED, Outcome.ACCEPTED]
