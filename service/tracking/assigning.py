@@ -32,9 +32,9 @@ from service.tracking.boxes import (
     M_VAR_W,
     M_W,
     claim_points,
+    contested_pairs,
     drop_neighbours,
     measure_boxes,
-    overlap_counts,
     point_costs,
 )  # fmt: skip
 from service.tracking.kernel import kernel
@@ -108,16 +108,10 @@ def assign(
     (Fortmann, Bar-Shalom and Scheffe 1983), with a measurement of its own for each pair of box and set,
     because the near face that a point stands for depends on the box.
     """
-    n = len(tracks)
     cost = point_costs(points, boxes)
     owner = claim_points(cost, boxes[:, BPRIOR], label, p.boxes.gate, p.boxes.cluster_gate)
     drop_neighbours(owner, points, boxes)
-    overlap = overlap_counts(cost, owner, p.boxes.gate)
-    own = np.diagonal(overlap)
-    size = np.bincount(owner[owner >= 0], minlength=n)
-    contested = (overlap >= np.maximum(1.0, 0.5 * size)[None, :]) & (size > 0)[None, :]
-    np.fill_diagonal(contested, size > 0)
-    box, group = np.nonzero(contested)
+    box, group = contested_pairs(cost, owner, p.boxes.gate)
     measured = measure_boxes(box, group, owner, points, boxes, range_seen_min_m)
     exists = 1.0 / (1.0 + np.exp(-tracks.log_odds))
     pd = exists * detect
@@ -128,9 +122,8 @@ def assign(
         (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate),
     )  # fmt: skip
     joint = marginals(log_weight, np.log1p(-pd), temper=b.temper)
-    return _pad(
-        box, group, z, R, measured, joint.beta, joint.miss, owner, own, joint.components, joint.approximated
-    )
+    zs, Rs, beta, own = _padded(box, group, z, R, measured, joint.beta, len(tracks))
+    return Assignment(zs, Rs, beta, joint.miss, own, owner, joint.components, joint.approximated)
 
 
 @kernel
@@ -194,35 +187,32 @@ def _weigh_pairs(
     return z, R, log_weight
 
 
-def _pad(
-    box: I64, group: I64, z: F64, R: F64, measured: F64, beta: F64, miss: F64, owner: I64, own: I64,
-    components: int,
-    approximated: int,
-) -> Assignment:  # fmt: skip
-    """Return the pairs as padded arrays, a row a track."""
-    zs, Rs, b, table = _padded(box, group, z, R, measured, beta, len(own))
-    return Assignment(zs, Rs, b, miss, table, owner, components, approximated)
-
-
 @kernel
 def _padded(
     box: I64, group: I64, z: F64, R: F64, measured: F64, beta: F64, n: int
 ) -> tuple[F64, F64, F64, F64]:
+    """Return z, R and beta of the pairs padded, a row a track, and what each track's own points measure."""
     filled = np.zeros(n, dtype=np.int64)
+    width = 1
     for i in box:
         filled[i] += 1
-    width = 1
-    for i in range(n):
         width = max(width, filled[i])
-        filled[i] = 0
     zs, Rs, b = np.zeros((n, width, 3)), np.zeros((n, width, 3, 3)), np.zeros((n, width))
-    Rs[:, :, 0, 0] = Rs[:, :, 1, 1] = Rs[:, :, 2, 2] = 1.0
     own = np.zeros((n, measured.shape[1]))
+    for i in range(n):
+        for slot in range(filled[i], width):
+            Rs[i, slot, 0, 0] = Rs[i, slot, 1, 1] = Rs[i, slot, 2, 2] = 1.0
+        filled[i] = 0
     for k in range(len(box)):
         i = box[k]
         slot = filled[i]
         filled[i] += 1
-        zs[i, slot], Rs[i, slot], b[i, slot] = z[k], R[k], beta[i, group[k]]
+        b[i, slot] = beta[i, group[k]]
+        for c in range(3):
+            zs[i, slot, c] = z[k, c]
+            for d in range(3):
+                Rs[i, slot, c, d] = R[k, c, d]
         if i == group[k]:
-            own[i] = measured[k]
+            for c in range(measured.shape[1]):
+                own[i, c] = measured[k, c]
     return zs, Rs, b, own

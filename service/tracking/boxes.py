@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64
 
 # columns of the point array
@@ -32,6 +32,8 @@ MEASUREMENT_COLUMNS = 12
 _BIAS_ANGLE_RAD = np.deg2rad(np.array([0.0, 3.0, 8.0, 15.0, 30.0, 60.0, 90.0]))
 _BIAS_WIDTHS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.36, 0.39])
 
+_FAR = 60.0  # squared distance from which a point has nothing to do with a box: beyond every gate
+_SLACK = 1.0 + 1e-9  # rounding must not end a pair that the full sum would keep
 _REACH_M = 22.0  # points further than this from a centre belong to no box: half a road train and a margin
 
 
@@ -43,23 +45,41 @@ def point_costs(points: F64, boxes: F64) -> F64:
     its long axis; a point without radial velocity (NaN) is judged by its position alone.
     """
     n_boxes, n_points = len(boxes), len(points)
-    cost = np.full((n_boxes, n_points), np.inf)
+    cost = np.empty((n_boxes, n_points))
+    x, y = np.empty(n_points), np.empty(n_points)
+    variance = np.empty(n_points)  # the larger one of a point's, which bounds it in any direction
+    widest = 0.0
+    for j in range(n_points):
+        x[j], y[j] = points[j, PX], points[j, PY]
+        variance[j] = max(points[j, PVAR_R], points[j, PG] * points[j, PG] * points[j, PVAR_AZ])
+        widest = max(widest, variance[j])
     for i in range(n_boxes):
         b = boxes[i]
         half_length, width = 0.5 * b[BLEN], b[BWID]
-        reach = _REACH_M + half_length
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
         to_radar = (
             -(b[BSIN] * b[BX] + b[BCOS] * b[BY]) / los_norm
         )  # cosine of the aspect, + front faces the radar
         across_los = math.sqrt(max(0.0, 1.0 - to_radar * to_radar))
+        # how far from the centre a point may lie at all: nearly every pair ends at one of these comparisons
+        own_variance = max(b[BVAR_U], b[BVAR_W]) + 0.09
+        far = math.sqrt(_FAR * _SLACK * (widest + own_variance))
+        along = half_length + max(b[BGROW_NEAR], b[BGROW_FAR]) + far
+        across = 0.35 * width + far
+        reach, center_x, center_y = _REACH_M + half_length, b[BX], b[BY]
+        reach_x = min(reach, abs(b[BSIN]) * along + abs(b[BCOS]) * across)
+        reach_y = min(reach, abs(b[BCOS]) * along + abs(b[BSIN]) * across)
         for j in range(n_points):
-            p = points[j]
-            dx, dy = p[PX] - b[BX], p[PY] - b[BY]
-            if abs(dx) > reach or abs(dy) > reach:
+            cost[i, j] = np.inf
+            dx, dy = x[j] - center_x, y[j] - center_y
+            if abs(dx) > reach_x or abs(dy) > reach_y:
                 continue
+            p = points[j]
             u = b[BSIN] * dx + b[BCOS] * dy
             w = b[BCOS] * dx - b[BSIN] * dy
+            dw = max(abs(w) - 0.35 * width, 0.0)
+            if dw * dw > _FAR * _SLACK * (variance[j] + own_variance):
+                continue
             var_t = p[PG] * p[PG] * p[PVAR_AZ]
             var_u = to_radar * to_radar * p[PVAR_R] + across_los * across_los * var_t
             var_w = across_los * across_los * p[PVAR_R] + to_radar * to_radar * var_t
@@ -69,9 +89,8 @@ def point_costs(points: F64, boxes: F64) -> F64:
             if abs(w) < 0.5 * width + 0.6:
                 beyond = b[BGROW_NEAR] if u * to_radar > 0.0 else b[BGROW_FAR]
             du = max(abs(u) - half_length - beyond, 0.0)
-            dw = max(abs(w) - 0.35 * width, 0.0)
             d2 = du * du / (var_u + b[BVAR_U] + 0.09) + dw * dw / (var_w + b[BVAR_W] + 0.04)
-            if d2 > 60.0:
+            if d2 > _FAR:
                 continue
             if p[PV] == p[PV]:
                 dv = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
@@ -89,16 +108,19 @@ def claim_points(cost: F64, prior: F64, label: I64, gate: float, cluster_gate: f
     several boxes claim is divided between them point by point.
     """
     n_boxes, n_points = cost.shape
-    owner = np.full(n_points, -1, dtype=np.int64)
+    owner, best = np.empty(n_points, dtype=np.int64), np.empty(n_points)
     n_labels = 0
     for j in range(n_points):
+        owner[j], best[j] = -1, np.inf
         n_labels = max(n_labels, label[j] + 1)
-        best = np.inf
-        for i in range(n_boxes):
-            if cost[i, j] < gate and cost[i, j] + prior[i] < best:
-                best = cost[i, j] + prior[i]
+    for i in range(n_boxes):
+        for j in range(n_points):
+            if cost[i, j] < gate and cost[i, j] + prior[i] < best[j]:
+                best[j] = cost[i, j] + prior[i]
                 owner[j] = i
-    claimant = np.full(n_labels, -1, dtype=np.int64)  # -2: several
+    claimant = np.empty(n_labels, dtype=np.int64)  # -1: nobody, -2: several
+    for c in range(n_labels):
+        claimant[c] = -1
     for j in range(n_points):
         if label[j] >= 0 and owner[j] >= 0:
             c = claimant[label[j]]
@@ -114,58 +136,123 @@ def claim_points(cost: F64, prior: F64, label: I64, gate: float, cluster_gate: f
     return owner
 
 
+@part
+def insert_sort(value: F64, order: I64, count: int) -> None:
+    """Sort the first values and their numbers, in place; equal ones keep their order. For few values."""
+    for k in range(1, count):
+        v, o, at = value[k], order[k], k
+        while at > 0 and value[at - 1] > v:
+            value[at], order[at] = value[at - 1], order[at - 1]
+            at -= 1
+        value[at], order[at] = v, o
+
+
 @kernel
 def drop_neighbours(owner: I64, points: F64, boxes: F64) -> None:
     """Give back the farther group when a box's points show a gap sideways that one vehicle cannot have."""
     n = len(owner)
+    begin, member = np.zeros(len(boxes) + 1, dtype=np.int64), np.empty(n, dtype=np.int64)
+    list_members(owner, begin, member)
+    w = np.empty(n)
     for i in range(len(boxes)):
         b = boxes[i]
-        count = 0
-        for j in range(n):
-            if owner[j] == i:
-                count += 1
+        count = begin[i + 1] - begin[i]
         if count < 2:
             continue
-        index = np.empty(count, dtype=np.int64)
-        w = np.empty(count)
-        k = 0
-        sigma = 0.0
-        for j in range(n):
-            if owner[j] == i:
-                index[k] = j
-                w[k] = b[BCOS] * (points[j, PX] - b[BX]) - b[BSIN] * (points[j, PY] - b[BY])
-                sigma += points[j, PG] * math.sqrt(points[j, PVAR_AZ])
-                k += 1
+        mine = member[begin[i] :]
+        sigma, low, high = 0.0, np.inf, -np.inf
+        for k in range(count):
+            j = mine[k]
+            w[k] = b[BCOS] * (points[j, PX] - b[BX]) - b[BSIN] * (points[j, PY] - b[BY])
+            sigma += points[j, PG] * math.sqrt(points[j, PVAR_AZ])
+            low, high = min(low, w[k]), max(high, w[k])
         sigma /= count
-        order = np.argsort(w)
-        if w[order[-1]] - w[order[0]] < b[BWID] + 0.8 + 2.5 * sigma:
+        if high - low < b[BWID] + 0.8 + 2.5 * sigma:
             continue
+        insert_sort(w, mine, count)
         widest, cut = 0.0, -1
         for k in range(1, count):
-            step = w[order[k]] - w[order[k - 1]]
-            if step > widest:
-                widest, cut = step, k
+            if w[k] - w[k - 1] > widest:
+                widest, cut = w[k] - w[k - 1], k
         if widest < 1.2 + sigma:
             continue
-        left = abs(np.mean(w[order[:cut]]))
-        right = abs(np.mean(w[order[cut:]]))
+        left = right = 0.0
         for k in range(count):
-            if (k >= cut) == (right > left):
-                owner[index[order[k]]] = -1
+            if k < cut:
+                left += w[k]
+            else:
+                right += w[k]
+        farther_right = abs(right / (count - cut)) > abs(left / cut)
+        for k in range(count):
+            if (k >= cut) == farther_right:
+                owner[mine[k]] = -1
+
+
+@part
+def list_members(owner: I64, begin: I64, member: I64) -> None:
+    """List the points of each box: those of box i are member[begin[i] : begin[i + 1]], in their order.
+
+    begin (T + 1,) is zero before; member (N,).
+    """
+    for j in range(len(owner)):
+        if owner[j] >= 0:
+            begin[owner[j] + 1] += 1
+    for i in range(1, len(begin)):
+        begin[i] += begin[i - 1]
+    for j in range(len(owner)):
+        if owner[j] >= 0:
+            member[begin[owner[j]]] = j
+            begin[owner[j]] += 1
+    for i in range(len(begin) - 1, 0, -1):
+        begin[i] = begin[i - 1]
+    begin[0] = 0
 
 
 @kernel
-def overlap_counts(cost: F64, owner: I64, gate: float) -> I64:
-    """Return (T, T): how many points of set j lie in the gate of box i."""
+def contested_pairs(cost: F64, owner: I64, gate: float) -> tuple[I64, I64]:
+    """Return the boxes (P,) and sets (P,) that may belong together, box by box.
+
+    A box that owns points pairs with their set, and with every other box's set of which half, and one point
+    at the least, lies in its gate.
+    """
     n_boxes, n_points = cost.shape
-    count = np.zeros((n_boxes, n_boxes), dtype=np.int64)
+    size = np.zeros(n_boxes, dtype=np.int64)
+    inside = np.zeros((n_boxes, n_boxes), dtype=np.int64)
     for k in range(n_points):
-        j = owner[k]
-        if j >= 0:
-            for i in range(n_boxes):
-                if cost[i, k] < gate:
-                    count[i, j] += 1
-    return count
+        if owner[k] >= 0:
+            size[owner[k]] += 1
+    pairs = 0
+    for i in range(n_boxes):
+        for k in range(n_points):
+            if cost[i, k] < gate and owner[k] >= 0:
+                inside[i, owner[k]] += 1
+        for j in range(n_boxes):
+            if i == j:
+                inside[i, j] = size[i] > 0
+            else:
+                inside[i, j] = inside[i, j] > 0 and 2 * inside[i, j] >= size[j]
+            pairs += inside[i, j]
+    box, group = np.empty(pairs, dtype=np.int64), np.empty(pairs, dtype=np.int64)
+    pairs = 0
+    for i in range(n_boxes):
+        for j in range(n_boxes):
+            if inside[i, j]:
+                box[pairs], group[pairs] = i, j
+                pairs += 1
+    return box, group
+
+
+@part
+def visible_bias(angle_rad: float) -> float:
+    """Return the bias of the weighted mean across the box, in widths, at an aspect between the nodes."""
+    last = len(_BIAS_ANGLE_RAD) - 1
+    if angle_rad >= _BIAS_ANGLE_RAD[last]:
+        return float(_BIAS_WIDTHS[last])
+    k = 0
+    while angle_rad >= _BIAS_ANGLE_RAD[k + 1]:
+        k += 1
+    slope = (_BIAS_WIDTHS[k + 1] - _BIAS_WIDTHS[k]) / (_BIAS_ANGLE_RAD[k + 1] - _BIAS_ANGLE_RAD[k])
+    return float(slope * (angle_rad - _BIAS_ANGLE_RAD[k]) + _BIAS_WIDTHS[k])
 
 
 @kernel
@@ -181,15 +268,13 @@ def measure_boxes(
     """
     out = np.zeros((len(pair_box), MEASUREMENT_COLUMNS))
     n = len(owner)
-    member = np.empty(n, dtype=np.int64)
-    dv = np.empty(n)
+    begin, members = np.zeros(len(boxes) + 1, dtype=np.int64), np.empty(n, dtype=np.int64)
+    list_members(owner, begin, members)
+    dv, order = np.empty(n), np.empty(n, dtype=np.int64)
     for q in range(len(pair_box)):
         b = boxes[pair_box[q]]
-        count = 0
-        for j in range(n):
-            if owner[j] == pair_set[q]:
-                member[count] = j
-                count += 1
+        member = members[begin[pair_set[q]] :]
+        count = begin[pair_set[q] + 1] - begin[pair_set[q]]
         out[q, M_COUNT] = count
         if count == 0:
             continue
@@ -220,7 +305,7 @@ def measure_boxes(
         effective = sum_a * sum_a / sum_a2
         half, width = 0.5 * b[BLEN], b[BWID]
         angle = math.acos(min(abs(to_radar), 1.0))
-        bias = width * np.interp(angle, _BIAS_ANGLE_RAD, _BIAS_WIDTHS)
+        bias = width * visible_bias(angle)
         out[q, M_W] = sum_aw / sum_a - math.copysign(bias, side_los)
         out[q, M_VAR_W] = sum_a2var / (sum_a * sum_a) + (0.22 * width) ** 2 / effective + 0.0064
         s = 1.0 if to_radar > 0.0 else -1.0
@@ -247,7 +332,8 @@ def measure_boxes(
                     out[q, M_U] = u_min + half
             out[q, M_VAR_U] = std * std + var_u / (count * count)
         if n_v > 0:
-            out[q, M_V] = np.median(dv[:n_v])
+            insert_sort(dv, order, n_v)
+            out[q, M_V] = (dv[(n_v - 1) // 2] + dv[n_v // 2]) / 2.0
         else:
             out[q, M_V] = np.nan
         out[q, M_VAR_V] = 1.0 / max(n_v, 1)  # times the Doppler variance of one point, by the caller

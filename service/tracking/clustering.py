@@ -163,7 +163,6 @@ def split_lateral(
     width_variance_m2 = p.split_width_m**2 / 12  # of points spread evenly over the width
     split_clusters(
         labels,
-        np.lexsort((across_m, labels)),
         np.array(across_m, np.float64, order="C"),
         np.array((range_m * azimuth_std_rad) ** 2 + width_variance_m2, np.float64, order="C"),
         np.array(limits, np.float64),

@@ -154,61 +154,112 @@ def density_clusters(features: F64, weights: F64, min_weight: float, labels: I64
     return renumber(labels)
 
 
+@part
+def list_clusters(labels: I64, order: I64) -> I64:
+    """Fill order (N,) with the points cluster by cluster, noise first; return where each of them ends."""
+    clusters = 0
+    for n in range(len(labels)):
+        clusters = max(clusters, labels[n] + 1)
+    end = np.zeros(clusters + 2, np.int64)
+    for n in range(len(labels)):
+        end[labels[n] + 2] += 1
+    for c in range(1, len(end)):
+        end[c] += end[c - 1]
+    for n in range(len(labels)):
+        order[end[labels[n] + 1]] = n
+        end[labels[n] + 1] += 1
+    return end[:-1]
+
+
+@part
+def sort_across(order: I64, across: F64, spare: I64) -> None:
+    """Sort points (M,) by their place across, in place, by merging ever longer runs; spare is for work."""
+    width = 1
+    while width < len(order):
+        for low in range(0, len(order), 2 * width):
+            a, b, out = low, min(low + width, len(order)), low
+            middle, high = b, min(low + 2 * width, len(order))
+            while out < high:
+                if a < middle and (b >= high or across[order[a]] <= across[order[b]]):
+                    spare[out] = order[a]
+                    a += 1
+                else:
+                    spare[out] = order[b]
+                    b += 1
+                out += 1
+        for n in range(len(order)):
+            order[n] = spare[n]
+        width *= 2
+
+
+@part
+def is_wide(order: I64, across: F64, spread2: F64, limits: F64) -> tuple[bool, float, float]:
+    """Return whether points (M,) spread wider than one vehicle's, their middle and the variance of one's."""
+    count = len(order)
+    middle = noise2 = square = 0.0
+    for n in range(count):
+        middle += across[order[n]] / count
+        noise2 += spread2[order[n]] / count
+    for n in range(count):
+        square += (across[order[n]] - middle) ** 2
+    return square / count >= limits[0] * noise2 + limits[1], middle, noise2
+
+
+@part
+def best_cut(order: I64, across: F64, middle: float) -> tuple[int, float, float]:
+    """Return after which sorted point to cut (-1: none), the variance explained, the centres' distance."""
+    count = len(order)
+    left, best, cut, apart = 0.0, 0.0, -1, 0.0
+    for n in range(count - 1):
+        left += across[order[n]] - middle
+        share = (n + 1.0) / count
+        between = left * left / (count * share * (1.0 - share))
+        if between > best and across[order[n]] < across[order[n + 1]]:
+            best, cut = between, n
+            apart = -left / (count * share * (1.0 - share))
+    return cut, best, apart
+
+
 @kernel
-def split_clusters(
-    labels: I64,
-    order: I64,
-    across: F64,
-    spread2: F64,
-    limits: F64,
-    fewest: int,
-    rounds: int,
-) -> int:
+def split_clusters(labels: I64, across: F64, spread2: F64, limits: F64, fewest: int, rounds: int) -> int:
     """Split clusters of points side by side in place; return the number of clusters.
 
-    labels: (N,) changed in place.  order: (N,) the points by label, then across.  across: (N,) metres.
-    spread2: (N,) variance across of one vehicle's points there.  limits: skip ratio, skip margin, separation,
-    gain and gain per point.  fewest: points that are tested.  rounds: most cuts one after another.
+    labels: (N,) changed in place.  across: (N,) metres.  spread2: (N,) variance across of one vehicle's
+    points there.  limits: skip ratio, skip margin, separation, gain and gain per point.  fewest: points that
+    are tested.  rounds: most cuts one after another.
     """
-    skip_ratio, skip_margin, separation = limits[0], limits[1], limits[2]
-    gain, gain_per_point = limits[3], limits[4]
     points = len(labels)
-    ends = np.zeros(points, np.bool_)  # the last point of a piece
-    for n in range(points):
-        ends[n] = n == points - 1 or labels[order[n]] != labels[order[n + 1]]
+    order, spare = np.empty(points, np.int64), np.empty(points, np.int64)
+    bounds = list_clusters(labels, order)
+    ends, wide = np.zeros(points, np.bool_), np.zeros(points, np.bool_)  # at the last point of a piece
+    for c in range(1, len(bounds)):  # only what is cut needs sorting, and little is
+        begin, end = bounds[c - 1], bounds[c]
+        if end > begin:
+            ends[end - 1] = True
+        if end - begin >= max(fewest, 2):
+            wide[end - 1] = is_wide(order[begin:end], across, spread2, limits)[0]
+            if wide[end - 1]:
+                sort_across(order[begin:end], across, spare)
     for _ in range(rounds):
-        start, cuts = 0, 0
-        for last in range(points):
+        start, cuts = bounds[0], 0
+        for last in range(bounds[0], points):
             if not ends[last]:
                 continue
             begin, start = start, last + 1
-            count = start - begin
-            if count < fewest or labels[order[begin]] == NOISE:
+            if not wide[last]:
                 continue
-            middle = noise2 = square = 0.0
-            for n in range(begin, start):
-                middle += across[order[n]] / count
-                noise2 += spread2[order[n]] / count
-            for n in range(begin, start):
-                square += (across[order[n]] - middle) ** 2
-            if square / count < skip_ratio * noise2 + skip_margin:
+            piece = order[begin:start]
+            wide[last], middle, noise2 = is_wide(piece, across, spread2, limits)
+            if not wide[last] or len(piece) < fewest:
                 continue
-            left, best, cut, apart = 0.0, 0.0, -1, 0.0
-            for n in range(begin, last):
-                left += across[order[n]] - middle
-                share = (n + 1.0 - begin) / count
-                between = left * left / (count * share * (1.0 - share))
-                if between > best and across[order[n]] < across[order[n + 1]]:
-                    best, cut = between, n
-                    apart = -left / (count * share * (1.0 - share))
-            if cut >= 0 and apart > separation and best > noise2 * (gain + gain_per_point * count):
-                ends[cut] = True
+            cut, best, apart = best_cut(piece, across, middle)
+            if cut >= 0 and apart > limits[2] and best > noise2 * (limits[3] + limits[4] * len(piece)):
+                ends[begin + cut] = wide[begin + cut] = True
                 cuts += 1
         if cuts == 0:
             break
-    piece = points  # above every label, for the new ones
-    for n in range(points):
-        if labels[order[n]] != NOISE:
-            labels[order[n]] = piece
-        piece += ends[n]
+    piece_number = points  # above every label, for the new ones
+    for n in range(bounds[0], points):
+        labels[order[n]] = piece_number
+        piece_number += ends[n]
     return renumber(labels)

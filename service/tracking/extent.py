@@ -86,6 +86,7 @@ def _learn_length(
     percentile, margin, growth, edge_growth, shrink, frozen_below, frozen_after = lengths[:7]
     shortest, longest, car, narrow_extent, narrow_points, narrow_hits = lengths[7:]
     wide_from, wide, car_width, narrow_below, narrow_width = widths
+    ordered = np.empty(ring.shape[1])
     for i in range(len(length)):
         if not hit[i] or measured[i, M_COUNT] < 2.0:
             continue
@@ -97,9 +98,15 @@ def _learn_length(
         ring[i, hits[i] % ring.shape[1]] = max(extent, 0.0)
         if speed < frozen_below and hits[i] > frozen_after:
             continue
-        ordered = np.sort(ring[i])  # NaN, not yet seen, last
         count = 0
-        while count < len(ordered) and ordered[count] == ordered[count]:
+        for past in ring[i]:
+            if math.isnan(past):  # not yet seen
+                continue
+            at = count
+            while at > 0 and ordered[at - 1] > past:
+                ordered[at] = ordered[at - 1]
+                at -= 1
+            ordered[at] = past
             count += 1
         rank = min(max(math.ceil(percentile / 100.0 * count) - 1, 0), count - 1)
         seen = ordered[rank] + margin

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.tracking.kernel import kernel
-from service.tracking.model import F64, Bool
+from service.tracking.model import F64, I64, Bool
 from service.tracking.state import Tracks
 
 
@@ -27,62 +27,75 @@ class MergingParameters:
     length_max_m: float = 19.0
 
 
+_PIECE, _INSIDE, _CLOSE = 1, 2, 4  # bits: how one track lies to another
+
+
 def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     """Return the tracks, long ones stretched over their pieces, and which of them (T,) to drop."""
     n = len(tracks)
     drop = np.zeros(n, dtype=np.bool_)
-    if n < 2 or not _any_near(tracks.mean, 0.5 * p.length_max_m + p.piece_gap_m, p.lane_across_m + 0.6):
-        return tracks, drop
-    dx = tracks.x_m[None, :] - tracks.x_m[:, None]
-    dy = tracks.y_m[None, :] - tracks.y_m[:, None]
-    sine, cosine = np.sin(tracks.heading_rad)[:, None], np.cos(tracks.heading_rad)[:, None]
-    along, across = np.abs(sine * dx + cosine * dy), np.abs(cosine * dx - sine * dy)
-    # along the line of sight, where Doppler makes the speed certain
-    bearing = np.arctan2(tracks.x_m, tracks.y_m)
-    rate = tracks.mean[:, 1] * np.sin(bearing) + tracks.mean[:, 4] * np.cos(bearing)
-    dv = np.abs(rate[:, None] - rate)
-    half = 0.5 * tracks.length_m
-    bigger = tracks.length_m[:, None] >= tracks.length_m[None, :]
-    close = (np.hypot(dx, dy) < p.same_centre_m) & (across < p.same_centre_m * 0.75) & (dv < p.same_speed_mps)
-    inside = (along < half[:, None]) & (across < p.inside_across_m) & bigger & (dv < 2.0 * p.same_speed_mps)
-    gap = along - half[:, None] - half[None, :]
-    speed = tracks.speed_mps
-    piece = (
-        (across < p.lane_across_m)
-        & (dv < p.piece_dv_mps)
-        & (gap < np.minimum(p.piece_gap_s * speed, p.piece_gap_m)[:, None])
-    )
-    piece &= (speed > p.piece_speed_mps)[:, None] & ((along + half[:, None] + half[None, :]) < p.length_max_m)
-    pair = close | inside | inside.T | (piece & piece.T)
-    np.fill_diagonal(pair, False)
-    if not pair.any():
+    first, second, piece = find_pairs(
+        tracks.mean, tracks.heading_rad, tracks.length_m,
+        (p.same_centre_m, p.same_speed_mps, p.inside_across_m, p.lane_across_m, p.piece_speed_mps,
+         p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, p.length_max_m),
+    )  # fmt: skip
+    if not len(first):
         return tracks, drop
     # the stronger stays: confirmed before tentative, then the older (lower number comes first)
     rank = np.where(tracks.confirmed, 0, n) + np.arange(n)
-    mean, length = tracks.mean.copy(), tracks.length_m.copy()
-    for i in np.argsort(rank):  # rarely more than one pair
-        if drop[i]:
+    mean, length, half = tracks.mean.copy(), tracks.length_m.copy(), 0.5 * tracks.length_m
+    for k in np.argsort(rank[first], kind="stable"):  # rarely more than one pair
+        i, j = first[k], second[k]
+        if drop[i] or drop[j] or rank[j] < rank[i]:
             continue
-        for j in np.flatnonzero(pair[i] & ~drop & (rank > rank[i])):
-            drop[j] = True
-            if piece[i, j] and tracks.confirmed[j] and not inside[i, j] and not close[i, j]:
-                s, c = np.sin(tracks.heading_rad[i]), np.cos(tracks.heading_rad[i])
-                u = s * dx[i, j] + c * dy[i, j]
-                lo, hi = min(-half[i], u - half[j]), max(half[i], u + half[j])
-                length[i] = min(hi - lo, p.length_max_m)
-                mean[i, 0] += 0.5 * (lo + hi) * s
-                mean[i, 3] += 0.5 * (lo + hi) * c
+        drop[j] = True
+        if piece[k] and tracks.confirmed[j]:
+            s, c = np.sin(tracks.heading_rad[i]), np.cos(tracks.heading_rad[i])
+            u = s * (tracks.x_m[j] - tracks.x_m[i]) + c * (tracks.y_m[j] - tracks.y_m[i])
+            lo, hi = min(-half[i], u - half[j]), max(half[i], u + half[j])
+            length[i] = min(hi - lo, p.length_max_m)
+            mean[i, 0] += 0.5 * (lo + hi) * s
+            mean[i, 3] += 0.5 * (lo + hi) * c
     return replace(tracks, mean=mean, length_m=length), drop
 
 
 @kernel
-def _any_near(mean: F64, along_m: float, across_m: float) -> bool:
-    """Return whether two tracks are so near, in either axis of their motion, that they may be one vehicle."""
-    for i in range(len(mean)):
-        speed = max(math.hypot(mean[i, 1], mean[i, 4]), 1e-9)
-        s, c = mean[i, 1] / speed, mean[i, 4] / speed
-        for j in range(i):
-            dx, dy = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3]
-            if math.hypot(dx, dy) < along_m and (speed < 2.0 or abs(c * dx - s * dy) < across_m):
-                return True
-    return False
+def find_pairs(mean: F64, heading: F64, length: F64, q: tuple[float, ...]) -> tuple[I64, I64, Bool]:
+    """Return pairs (i, j) of tracks that are one vehicle, seen from i, and whether j is but a piece of i.
+
+    Duplicates have one centre, or one of them lies in the other's box; pieces drive one behind the other
+    in one lane at one speed. Speeds are compared along the line of sight, where Doppler makes them certain.
+    """
+    same_centre, same_speed, inside_across, lane_across, piece_speed, piece_dv, gap_s, gap_m, longest = q
+    n, pairs, likely = len(heading), 0, False
+    rate, lies = np.empty(n), np.zeros((n, n), dtype=np.uint8)
+    for i in range(n):
+        bearing = math.atan2(mean[i, 0], mean[i, 3])
+        rate[i] = mean[i, 1] * math.sin(bearing) + mean[i, 4] * math.cos(bearing)
+    fastest = max(2.0 * same_speed, piece_dv)
+    for i in range(n):
+        s, c, speed = math.sin(heading[i]), math.cos(heading[i]), math.hypot(mean[i, 1], mean[i, 4])
+        reach = max(longest, length[i]) + lane_across + inside_across + same_centre  # of any of the three
+        for j in range(n):
+            dx, dy, dv = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3], abs(rate[i] - rate[j])
+            if i == j or abs(dx) > reach or abs(dy) > reach or dv > fastest:
+                continue
+            along, across, half = abs(s * dx + c * dy), abs(c * dx - s * dy), 0.5 * (length[i] + length[j])
+            if across < 0.75 * same_centre and dv < same_speed and math.hypot(dx, dy) < same_centre:
+                lies[i, j] += _CLOSE
+            if along < 0.5 * length[i] and across < inside_across and length[i] >= length[j]:
+                if dv < 2.0 * same_speed:
+                    lies[i, j] += _INSIDE
+            if across < lane_across and dv < piece_dv and along + half < longest and speed > piece_speed:
+                if along - half < min(gap_s * speed, gap_m):
+                    lies[i, j] += _PIECE
+            likely = likely or lies[i, j] > 0
+    if not likely:
+        return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.bool_)
+    first, second, piece = np.empty(n * n, np.int64), np.empty(n * n, np.int64), np.empty(n * n, np.bool_)
+    for i in range(n):
+        for j in range(n):
+            if lies[i, j] >= _INSIDE or (lies[j, i] & _INSIDE) or (lies[i, j] & lies[j, i] & _PIECE):
+                first[pairs], second[pairs], piece[pairs] = i, j, lies[i, j] == _PIECE
+                pairs += 1
+    return first[:pairs], second[:pairs], piece[:pairs]

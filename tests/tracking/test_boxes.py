@@ -1,0 +1,186 @@
+"""The kernels that hold points against boxes, against numpy written from their definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.tracking import boxes as b
+from service.tracking.merging import MergingParameters, find_pairs
+
+GATE, CLUSTER_GATE = 12.0, 25.0
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+def crowd(rng, vehicles=12, points=90):
+    """Return boxes in a small place and points in and around them."""
+    box = np.zeros((vehicles, b.BOX_COLUMNS))
+    box[:, b.BX], box[:, b.BY] = rng.uniform(-8, 8, vehicles), rng.uniform(40, 80, vehicles)
+    heading = rng.uniform(-np.pi, np.pi, vehicles)
+    box[:, b.BSIN], box[:, b.BCOS] = np.sin(heading), np.cos(heading)
+    speed = rng.uniform(0, 25, vehicles)
+    box[:, b.BVX], box[:, b.BVY], box[:, b.BSPEED] = speed * np.sin(heading), speed * np.cos(heading), speed
+    box[:, b.BLEN], box[:, b.BWID] = rng.uniform(3, 18, vehicles), rng.uniform(0.9, 2.5, vehicles)
+    box[:, [b.BVAR_U, b.BVAR_W, b.BVAR_V]] = rng.uniform(0.01, 1.5, (vehicles, 3))
+    box[:, b.BGROW_FAR] = rng.uniform(0, 5, vehicles)
+    box[:, b.BGROW_NEAR] = 0.2 * box[:, b.BGROW_FAR]
+    box[:, b.BPRIOR] = rng.uniform(0, 6, vehicles)
+    point = np.zeros((points, b.POINT_COLUMNS))
+    near = box[rng.integers(0, vehicles, points)]
+    point[:, b.PX] = near[:, b.BX] + rng.normal(0, 3, points)
+    point[:, b.PY] = near[:, b.BY] + rng.normal(0, 3, points)
+    point[:, b.PG] = np.hypot(point[:, b.PX], point[:, b.PY])
+    radial = (near[:, b.BVX] * point[:, b.PX] + near[:, b.BVY] * point[:, b.PY]) / point[:, b.PG]
+    point[:, b.PV] = np.where(rng.random(points) < 0.1, np.nan, radial + rng.normal(0, 0.2, points))
+    point[:, b.PVAR_R], point[:, b.PVAR_AZ] = rng.uniform(0.01, 0.1, points), rng.uniform(1e-5, 1e-4, points)
+    point[:, b.PWEIGHT], point[:, b.PECHO] = rng.uniform(1, 20, points), rng.uniform(0, 40, points)
+    return box, point
+
+
+def frame_of(box, point):
+    dx, dy = point[None, :, b.PX] - box[:, None, b.BX], point[None, :, b.PY] - box[:, None, b.BY]
+    s, c = box[:, None, b.BSIN], box[:, None, b.BCOS]
+    return s * dx + c * dy, c * dx - s * dy
+
+
+def slow_costs(box, point):
+    u, w = frame_of(box, point)
+    column = [box[:, None, k] for k in range(b.BOX_COLUMNS)]
+    towards = -(column[b.BSIN] * column[b.BX] + column[b.BCOS] * column[b.BY])
+    towards /= np.hypot(column[b.BX], column[b.BY])
+    across2 = 1.0 - towards**2
+    var_t = point[:, b.PG] ** 2 * point[:, b.PVAR_AZ]
+    var_u = towards**2 * point[:, b.PVAR_R] + across2 * var_t
+    var_w = across2 * point[:, b.PVAR_R] + towards**2 * var_t
+    grow = np.where(u * towards > 0, column[b.BGROW_NEAR], column[b.BGROW_FAR])
+    beyond = np.where(np.abs(w) < 0.5 * column[b.BWID] + 0.6, grow, 0.0)
+    du = np.maximum(np.abs(u) - 0.5 * column[b.BLEN] - beyond, 0.0)
+    dw = np.maximum(np.abs(w) - 0.35 * column[b.BWID], 0.0)
+    d2 = du**2 / (var_u + column[b.BVAR_U] + 0.09) + dw**2 / (var_w + column[b.BVAR_W] + 0.04)
+    far = d2 > 60.0
+    rate = (column[b.BVX] * point[:, b.PX] + column[b.BVY] * point[:, b.PY]) / point[:, b.PG]
+    doppler = (point[:, b.PV] - rate) ** 2 / (0.04 + (0.02 * column[b.BSPEED]) ** 2 + column[b.BVAR_V])
+    cost = d2 + np.nan_to_num(doppler) + 0.25 * (w / (0.5 * column[b.BWID] + 0.3)) ** 2
+    return np.where(far, np.inf, cost)
+
+
+def test_costs_are_those_of_the_definition_for_every_pair(rng):
+    for _ in range(20):
+        box, point = crowd(rng)
+        np.testing.assert_allclose(b.point_costs(point, box), slow_costs(box, point), rtol=1e-9)
+
+
+def test_a_point_goes_to_its_cheapest_box_and_a_cluster_of_one_box_as_a_whole(rng):
+    box, point = crowd(rng)
+    cost, label = b.point_costs(point, box), rng.integers(-1, 25, len(point))
+    inside = np.where(cost < GATE, cost + box[:, [b.BPRIOR]], np.inf)
+    expected = np.where(np.isfinite(inside).any(axis=0), inside.argmin(axis=0), -1)
+    for cluster in range(label.max() + 1):
+        mine = label == cluster
+        claimants = set(expected[mine]) - {-1}
+        if len(claimants) == 1:
+            (only,) = claimants
+            expected[mine & (expected < 0) & (cost[only] < CLUSTER_GATE)] = only
+
+    owner = b.claim_points(cost, box[:, b.BPRIOR], label, GATE, CLUSTER_GATE)
+
+    np.testing.assert_array_equal(owner, expected)
+
+
+def test_pairs_are_every_box_with_its_own_points_and_with_sets_half_in_its_gate(rng):
+    box, point = crowd(rng)
+    cost = b.point_costs(point, box)
+    owner = b.claim_points(cost, box[:, b.BPRIOR], np.full(len(point), -1), GATE, CLUSTER_GATE)
+    expected = [
+        (i, j)
+        for i in range(len(box))
+        for j in range(len(box))
+        if (owner == j).any() and (i == j or (cost[i, owner == j] < GATE).mean() >= 0.5)
+    ]
+
+    pairs = list(zip(*b.contested_pairs(cost, owner, GATE), strict=True))
+
+    assert pairs == expected
+    assert len(pairs) > len(set(owner) - {-1})
+
+
+def test_a_box_keeps_the_nearer_of_two_groups_side_by_side(rng):
+    box, point = crowd(rng, vehicles=1, points=6)
+    box[0, [b.BSIN, b.BCOS, b.BX, b.BY, b.BWID]] = 0.0, 1.0, 0.0, 50.0, 1.9
+    point[:, b.PX] = [-0.4, 0.1, 0.5, 3.4, 3.8, 3.1]
+    owner = np.zeros(6, dtype=np.int64)
+
+    b.drop_neighbours(owner, point, box)
+
+    assert owner.tolist() == [0, 0, 0, -1, -1, -1]
+
+
+def test_a_measurement_sums_up_the_points_of_its_set(rng):
+    box, point = crowd(rng)
+    cost = b.point_costs(point, box)
+    owner = b.claim_points(cost, box[:, b.BPRIOR], np.full(len(point), -1), GATE, CLUSTER_GATE)
+    pair_box, pair_set = b.contested_pairs(cost, owner, GATE)
+    u, w = frame_of(box, point)
+    bearing = np.arctan2(box[:, b.BX], box[:, b.BY])
+    aspect = np.arctan2(box[:, b.BSIN], box[:, b.BCOS]) - bearing
+    angle = np.arccos(np.abs(np.cos(aspect)))
+    bias = box[:, b.BWID] * np.interp(angle, b._BIAS_ANGLE_RAD, b._BIAS_WIDTHS)
+
+    measured = b.measure_boxes(pair_box, pair_set, owner, point, box, 20.0)
+
+    for row, i, j in zip(measured, pair_box, pair_set, strict=True):
+        mine = owner == j
+        known = point[mine & np.isfinite(point[:, b.PV])]
+        rate = (box[i, b.BVX] * known[:, b.PX] + box[i, b.BVY] * known[:, b.PY]) / known[:, b.PG]
+        assert row[b.M_COUNT] == mine.sum()
+        assert (row[b.M_U_MIN], row[b.M_U_MAX]) == pytest.approx((u[i, mine].min(), u[i, mine].max()))
+        mean_w = np.average(w[i, mine], weights=point[mine, b.PWEIGHT])
+        assert row[b.M_W] == pytest.approx(mean_w - np.copysign(bias[i], np.sin(aspect[i])))
+        assert row[b.M_V] == pytest.approx(
+            np.median(known[:, b.PV] - rate) if len(known) else np.nan, nan_ok=True
+        )
+        assert row[b.M_ECHO] == pytest.approx(point[mine, b.PECHO].mean())
+
+
+def slow_pairs(mean, heading, length, p):
+    """Return the pairs of one vehicle and whether one is a piece, matrix by matrix."""
+    dx, dy = mean[None, :, 0] - mean[:, None, 0], mean[None, :, 3] - mean[:, None, 3]
+    s, c = np.sin(heading)[:, None], np.cos(heading)[:, None]
+    along, across = np.abs(s * dx + c * dy), np.abs(c * dx - s * dy)
+    bearing = np.arctan2(mean[:, 0], mean[:, 3])
+    rate = mean[:, 1] * np.sin(bearing) + mean[:, 4] * np.cos(bearing)
+    dv, speed = np.abs(rate[:, None] - rate), np.hypot(mean[:, 1], mean[:, 4])[:, None]
+    half = 0.5 * length[:, None]
+    close = (np.hypot(dx, dy) < p.same_centre_m) & (across < 0.75 * p.same_centre_m) & (dv < p.same_speed_mps)
+    inside = (along < half) & (across < p.inside_across_m) & (length[:, None] >= length)
+    inside &= dv < 2.0 * p.same_speed_mps
+    piece = (across < p.lane_across_m) & (dv < p.piece_dv_mps) & (speed > p.piece_speed_mps)
+    piece &= along - half - half.T < np.minimum(p.piece_gap_s * speed, p.piece_gap_m)
+    piece &= along + half + half.T < p.length_max_m
+    pair = close | inside | inside.T | (piece & piece.T)
+    np.fill_diagonal(pair, False)
+    return [(i, j, piece[i, j] and not close[i, j] and not inside[i, j]) for i, j in np.argwhere(pair)]
+
+
+def test_tracks_of_one_vehicle_are_found_as_by_the_definition(rng):
+    p, found = MergingParameters(), 0
+    limits = (
+        p.same_centre_m, p.same_speed_mps, p.inside_across_m, p.lane_across_m, p.piece_speed_mps,
+        p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, p.length_max_m,
+    )  # fmt: skip
+    for _ in range(30):
+        mean = np.zeros((14, 6))
+        mean[:, 0], mean[:, 3] = rng.uniform(-4, 4, 14), rng.uniform(40, 80, 14)
+        mean[:, 4] = rng.choice([-15.0, -14.5, 2.0], 14)
+        heading = np.arctan2(0.0, mean[:, 4]) + rng.normal(0, 0.05, 14)
+        length = rng.uniform(2.2, 12, 14)
+        expected = slow_pairs(mean, heading, length, p)
+        found += len(expected)
+
+        assert list(zip(*find_pairs(mean, heading, length, limits), strict=True)) == expected
+
+    assert found > 100
