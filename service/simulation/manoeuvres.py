@@ -19,6 +19,7 @@ from service.tracking.motion import constant_acceleration
 
 PERIOD_S = 0.05
 DURATION_S = 12.5
+FOLLOWING_PERIOD_S = 0.04  # of the radar on a car of Sensors 2020
 
 Profile = Callable[[float], tuple[float, float]]  # time [s] -> acceleration (ax, ay) [m/s^2]
 
@@ -87,6 +88,27 @@ def traffic(rng: np.random.Generator, runs: int, duration_s: float = 30.0) -> F6
     Each has its own speed, times and decelerations (5.5 to 7.5 m/s^2); they come from 168 m to about 20 m.
     """
     return np.stack([_journey(rng, duration_s) for _ in range(runs)], axis=1)
+
+
+def following(rng: np.random.Generator, runs: int, brake_mps2: float = 0.0, duration_s: float = 40.0) -> F64:
+    """Return (K, runs, 6) vehicles ahead of a radar on a car, 25 Hz: their relative speed swings through 0.
+
+    Its acceleration stays below 1.2 m/s^2, but for a second of `brake_mps2` one way and the other every ten.
+    """
+    return np.stack([_swing(rng, brake_mps2, duration_s) for _ in range(runs)], axis=1)
+
+
+def _swing(rng: np.random.Generator, brake_mps2: float, duration_s: float) -> F64:
+    rate, top = math.tau / rng.uniform(9.0, 14.0), rng.uniform(0.7, 1.2)
+    begin, side, distance = rng.uniform(3.0, 6.0), rng.uniform(-0.5, 0.5), rng.uniform(30.0, 45.0)
+
+    def profile(t: float) -> tuple[float, float]:
+        phase = (t - begin) % 10.0
+        event = brake_mps2 * (float(0.0 <= phase < 1.0) - float(1.0 <= phase < 2.0)) * (t >= begin)  # noqa: PLR2004
+        return 0.1 * math.sin(rate * t), top * math.cos(rate * t) - event
+
+    start = np.array([side, 0.0, 0.0, distance, 0.0, 0.0])
+    return integrate(start, profile, duration_s, FOLLOWING_PERIOD_S)
 
 
 def _journey(rng: np.random.Generator, duration_s: float) -> F64:

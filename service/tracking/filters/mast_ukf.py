@@ -17,9 +17,11 @@ import numpy as np
 from service.errors import InvalidInput
 from service.tracking.filters.base import FilterState, Prediction
 from service.tracking.filters.correction import Innovations, symmetric
+from service.tracking.filters.isolation import inflate, isolate
 from service.tracking.filters.parameters import MastUkfParameters
+from service.tracking.filters.robust import REJECTED
 from service.tracking.filters.sigma_points import Linearised, SigmaPoints
-from service.tracking.filters.space import Space, road
+from service.tracking.filters.space import Space, road, scale_axes
 from service.tracking.filters.space_filter import OWN, Adaptation, SpaceFilter
 from service.tracking.filters.weighted import diagonal, project, summarise
 from service.tracking.model import F64
@@ -34,33 +36,6 @@ def mast_ukf(p: MastUkfParameters, space: Space | None = None) -> SpaceFilter:
     space = space or road(p.accel_std_mps2, p.accel_tau_s)
     adaptation: Adaptation = Whiteness(p, space) if p.form == SAFE else Comparison(p, space)
     return SpaceFilter("mast-ukf", space, points=SigmaPoints(p.spread), adaptation=adaptation)
-
-
-def scale_axes(cov: F64, factor: F64, space: Space) -> F64:
-    """Return D^1/2 C D^1/2 (..., n, n) with a factor for each axis (..., A); states of no axis stay."""
-    member = space.axis_of_state(cov.shape[-1])
-    root = np.sqrt(1.0 + ((factor - 1.0)[..., None] * member).sum(axis=-2))
-    return np.asarray((root[..., :, None] * root[..., None, :]) * cov)
-
-
-def inflate(i: Innovations, factor: F64) -> Innovations:
-    """Return the innovations with R scaled to J^1/2 R J^1/2, J (..., m) by channel or (..., J, m)."""
-    root = np.sqrt(factor)
-    root = root[..., None, :] if root.ndim < i.e.ndim else root
-    return Innovations(i.e, (root[..., :, None] * root[..., None, :]) * i.R, i.measured, i.beta, i.miss)
-
-
-def isolate(i: Innovations, S: F64, limit: float) -> Innovations:
-    """Return the innovations with R_ii grown until no channel of a measurement exceeds the limit.
-
-    S: (..., m, m) H P H' + Omega. For t_i = e_i^2 / (S_ii + R_ii) above the limit R_ii grows by (t_i/limit -
-    1)(S_ii + R_ii), which makes t_i equal to it: the influence of an outlier is bounded and never zero, so
-    that nothing locks a track out.
-    """
-    total = diagonal(S)[..., None, :] + np.diagonal(i.R, axis1=-2, axis2=-1)
-    excess = np.maximum(i.e**2 / (limit * np.where(i.measured, total, 1.0)) - 1.0, 0.0) * total
-    extra = np.where(i.measured, excess, 0.0)[..., :, None] * np.eye(i.e.shape[-1])
-    return Innovations(i.e, i.R + extra, i.measured, i.beta, i.miss)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +78,7 @@ class Whiteness:
         fade = np.where(turn, p.manoeuvre_fading, 1.0)
         prior = symmetric(scale_axes(prediction.propagated + rescaled, fade, self.space))
         i = inflate(i, np.exp(log_j))
-        return prior, isolate(i, project(seen.H, prior) + seen.omega, p.outlier_limit)
+        return prior, isolate(i, project(seen.H, prior) + seen.omega, memory[..., REJECTED], p)
 
     def after(self, prediction: Prediction, seen: Linearised, i: Innovations, state: FilterState) -> None:
         """Learn nothing more."""

@@ -133,9 +133,40 @@ class MastUkfParameters:
     manoeuvre_residual: float = 1.5  # two successive residuals beyond it, of one sign, are a manoeuvre
     manoeuvre_fading: float = 2.0  # of the covariance of that axis
     outlier_limit: float = 6.6  # chi-square of one channel, 99 %
+    gate_release_frames: int | None = 3
     forgetting: float = 0.95  # [rho] of the paper's form; eq. 22
     window: int = 30  # frames of the paper's comparison; eq. 6
     every: int = 10  # frames between its decisions
+
+
+@dataclass(frozen=True, slots=True)
+class SrckfParameters:
+    """Square-root cubature Kalman filter over the damped constant-acceleration model of the EKF."""
+
+    accel_std_mps2: float = 0.177
+    accel_tau_s: float | None = 1.3
+    robust_gate: float | None = 16.0
+    gate_release_frames: int | None = 3
+
+
+@dataclass(frozen=True, slots=True)
+class SageHusaParameters:
+    """ISRCKF and SH-EKF: noises estimated online. Counts and weights are per frame of 0.04 to 0.05 s."""
+
+    accel_std_mps2: float = 0.177
+    accel_tau_s: float | None = 1.3
+    form: str = "safe"  # "fading" and "mean" are the paper's recursions, for comparison
+    forgetting: float = 0.97  # [b] Sensors 2020, eq. 24: 0.95 to 0.99
+    virtual: int = 20  # measurements that the configured noises count as; study
+    warm_up: int = 10  # measurements of a track before anything is estimated
+    nis_max: float = 25.0  # mean square of the normalised residuals from which nothing is learnt
+    ratio_max: float = 9.0  # bound of one sample of the scale of R
+    noise_min: float = 0.1  # bounds of the scale of R
+    noise_max: float = 100.0
+    axis_min: float = 0.5  # bounds of the scale of Q
+    axis_max: float = 25.0
+    outlier_limit: float = 6.6  # chi-square of one channel, 99 %
+    gate_release_frames: int | None = 3
 
 
 UNBOUNDED = 1e9  # a fading factor that no data of the paper reaches
@@ -160,3 +191,6 @@ class FilterParameters:
     st_ukf: StUkfParameters = field(default_factory=StUkfParameters)
     ast_ukf: StUkfParameters = field(default_factory=StUkfParameters)
     mast_ukf: MastUkfParameters = field(default_factory=MastUkfParameters)
+    srckf: SrckfParameters = field(default_factory=SrckfParameters)
+    sh_ekf: SageHusaParameters = field(default_factory=SageHusaParameters)
+    isrckf: SageHusaParameters = field(default_factory=SageHusaParameters)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from service.errors import InvalidInput
 from service.tracking.filters.base import Filter
+from service.tracking.filters.cubature import isrckf, sh_ekf, srckf
 from service.tracking.filters.ekf import Ekf
 from service.tracking.filters.mast_ukf import mast_ukf
 from service.tracking.filters.parameters import FilterParameters
@@ -20,6 +21,9 @@ _MAKERS: Mapping[str, Callable[[FilterParameters], Filter]] = MappingProxyType(
         "astekf-paper": lambda p: AstekfPaper(p.astekf_paper),
         "ekf": lambda p: Ekf(p.ekf),
         "stekf": lambda p: Stekf(p.stekf),
+        "srckf": lambda p: srckf(p.srckf),
+        "sh-ekf": lambda p: sh_ekf(p.sh_ekf),
+        "isrckf": lambda p: isrckf(p.isrckf),
         "ukf": lambda p: ukf(p.ukf),
         "st-ukf": lambda p: st_ukf(p.st_ukf),
         "ast-ukf": lambda p: ast_ukf(p.ast_ukf),

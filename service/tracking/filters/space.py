@@ -81,6 +81,13 @@ class Space:
         return member
 
 
+def scale_axes(cov: F64, factor: F64, space: Space) -> F64:
+    """Return D^1/2 C D^1/2 (..., n, n) with a factor for each axis (..., A); states of no axis stay."""
+    member = space.axis_of_state(cov.shape[-1])
+    root = np.sqrt(1.0 + ((factor - 1.0)[..., None] * member).sum(axis=-2))
+    return np.asarray((root[..., :, None] * root[..., None, :]) * cov)
+
+
 @dataclass(frozen=True, slots=True)
 class LinearStep:
     """x' = F x + w, w ~ N(0, Q), of any size; F and Q may have batch dimensions."""
