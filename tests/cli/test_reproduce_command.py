@@ -5,6 +5,10 @@ import json
 import pytest
 
 EXPECTED = {
+    "astekf": (
+        {f"Table {k}" for k in range(1, 5)},
+        {f"Figure {k}" for k in (3, 4, 5, 7, 8, 10, 11, 12)},
+    ),
     "hpff": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in range(4, 8)}),
 }
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from service.errors import InvalidInput
+from service.evaluation.reproduce.astekf import ASTEKF
 from service.evaluation.reproduce.form import Paper
 from service.evaluation.reproduce.hpff import HPFF
 
-PAPERS: Mapping[str, Paper] = MappingProxyType({paper.name: paper for paper in (HPFF,)})
+PAPERS: Mapping[str, Paper] = MappingProxyType({paper.name: paper for paper in (ASTEKF, HPFF)})
 
 
 def find_papers(names: Sequence[str]) -> list[Paper]:
