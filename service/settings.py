@@ -40,6 +40,7 @@ class Settings(BaseSettings):
     states_days: Days = 7
     tracks_days: Days = 400
     events_days: Days = 400
+    counts_days: Days = 400
     upkeep_interval_s: PositiveSeconds = 3600.0
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -12,6 +12,7 @@ import orjson
 import typer
 
 from service.cli import options
+from service.cli.count_files import COUNT_FILES, CountFiles
 from service.cli.edge import one_sentence
 from service.cli.output import json_text, print_facts, print_json, progress, provenance
 from service.formats.rfc3339 import format_time
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from service.storage.rows import TrackKey, TrackSummary
     from service.tracking.model import Frame
 
-FILES = ("tracks.jsonl", "track_summaries.jsonl", "summary.json")
+FILES = ("tracks.jsonl", "track_summaries.jsonl", *COUNT_FILES, "summary.json")
 
 
 @one_sentence()
@@ -99,12 +100,14 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
     tracks: dict[TrackKey, TrackSummary] = {}
     fates: Counter[str] = Counter()
     epoch, states, missing, events = 1, 0, 0, 0
+    counts = CountFiles(config)
     with (folder / "tracks.jsonl").open("wb") as lines:
         for output in outputs:
             epoch += output.restarted is not None
             fates[output.fate.value] += 1
             missing += output.missing
             events += len(output.rows.events)
+            counts.add(output.rows)
             tracks.update((row.key, row) for row in output.rows.tracks)
             for scan in output.frames:
                 states += len(scan.estimates)
@@ -122,4 +125,4 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
         "conflicting_frames": fates["conflict"],
         "restarts": epoch - 1,
         "events": events,
-    }
+    } | counts.write(folder)

@@ -184,7 +184,9 @@ def _configure(state: FoldState[S], record: ControlRecord, out: _Output) -> Fold
 def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldState[S]:
     """End every track and open the next epoch with an empty state, at the record that is being folded."""
     last_us = state.order.time_us if state.order.time_us is not None else 0
-    out.rows.append(end_all(state.collected, _moment(state, last_us)))
+    moment = _moment(state, last_us)
+    rows, _ = traffic_rows(monitor.last_words(state.traffic), moment, state.events)
+    out.rows += [end_all(state.collected, moment), rows]
     return replace(
         state,
         epoch=state.epoch + 1,

@@ -76,9 +76,10 @@ class FoldState(Generic[S]):
 
     @property
     def quiet(self) -> bool:
-        """True when there is no track and no open block."""
+        """True when there is no track, no open block, and nothing untold."""
         return (
             self.tracker.idle
+            and self.traffic.idle
             and not len(self.collected.tracks.number)
             and not len(self.collected.blocks.number)
         )

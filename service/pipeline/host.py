@@ -165,7 +165,10 @@ class EmbeddedHost:
     def _keep_up(self) -> None:
         """Let go of expired rows, now and each hour."""
         retention = Retention(
-            self._settings.states_days, self._settings.tracks_days, self._settings.events_days
+            self._settings.states_days,
+            self._settings.tracks_days,
+            self._settings.events_days,
+            self._settings.counts_days,
         )
         while True:
             try:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from service.pipeline.blocks import Moment
-from service.storage.rows import LaneChangeRow, Rows, TrackKey
+from service.storage.rows import CellRow, CrossingBlock, LaneChangeRow, MinuteRow, Rows, TrackKey
 from service.traffic.model import Outputs
+from service.traffic.records import Counts
 
 
 def traffic_rows(found: Outputs, moment: Moment, events: int) -> tuple[Rows, int]:
@@ -23,4 +26,17 @@ def traffic_rows(found: Outputs, moment: Moment, events: int) -> tuple[Rows, int
         )
         for change in found.changes
     )
-    return Rows(lane_changes=changes), events
+    return replace(_count_rows(found.counts, moment), lane_changes=changes), events
+
+
+def _count_rows(counts: Counts, moment: Moment) -> Rows:
+    of, as_of = (moment.sensor_id, moment.epoch), moment.position
+    return Rows(
+        crossings=tuple(
+            CrossingBlock(*of, x.line_id, x.minute, x.part, as_of, x.records.tobytes()) for x in counts.blocks
+        ),
+        minutes=tuple(
+            MinuteRow(*of, x.minute, as_of, x.frames, x.expected, x.observed_us) for x in counts.received
+        ),
+        cells=tuple(CellRow(*of, x.minute, x.map_version, as_of, x.records.tobytes()) for x in counts.cells),
+    )

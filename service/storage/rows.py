@@ -115,6 +115,59 @@ class LaneMapRow:
 
 
 @dataclass(frozen=True, slots=True)
+class CrossingBlock:
+    """The crossings of one line in one minute; a later `as_of` replaces an earlier one."""
+
+    sensor_id: str
+    epoch: int
+    line_id: str
+    minute: int  # since 1970
+    part: int  # 0; of crossings that became certain long after their minute, a number of their own
+    as_of: int
+    records: bytes  # array of traffic.records.CROSSING
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what names the row."""
+        return self.sensor_id, self.epoch, self.line_id, self.minute, self.part
+
+
+@dataclass(frozen=True, slots=True)
+class MinuteRow:
+    """The frames of one minute; a later `as_of` replaces an earlier one."""
+
+    sensor_id: str
+    epoch: int
+    minute: int  # since 1970
+    as_of: int
+    frames: int
+    expected: int  # of a whole minute
+    observed_us: int
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what names the row."""
+        return self.sensor_id, self.epoch, self.minute
+
+
+@dataclass(frozen=True, slots=True)
+class CellRow:
+    """Edie's sums of one minute over the cells of one lane map; a later `as_of` replaces an earlier one."""
+
+    sensor_id: str
+    epoch: int
+    minute: int  # since 1970
+    map_version: int
+    as_of: int
+    cells: bytes  # array of traffic.cells.CELL
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Return what names the row."""
+        return self.sensor_id, self.epoch, self.minute, self.map_version
+
+
+@dataclass(frozen=True, slots=True)
 class Rows:
     """What one or more folded records add to the database."""
 
@@ -123,17 +176,22 @@ class Rows:
     events: tuple[EventRow, ...] = ()
     lane_changes: tuple[LaneChangeRow, ...] = ()
     lane_maps: tuple[LaneMapRow, ...] = ()
+    crossings: tuple[CrossingBlock, ...] = ()
+    minutes: tuple[MinuteRow, ...] = ()
+    cells: tuple[CellRow, ...] = ()
 
     def __bool__(self) -> bool:
         return any(getattr(self, item.name) for item in dataclasses.fields(self))
 
 
+_ADVANCING = frozenset({"tracks", "crossings", "minutes", "cells"})  # rows of which only the newest counts
+
+
 def merge_rows(parts: Iterable[Rows]) -> Rows:
-    """Return the rows of several records as one; of a track only the newest summary remains."""
+    """Return the rows of several records as one; of a row that advances only the newest remains."""
     parts = list(parts)
-    tracks: dict[TrackKey, TrackSummary] = {row.key: row for rows in parts for row in rows.tracks}
-    joined = {
-        item.name: tuple(row for rows in parts for row in getattr(rows, item.name))
-        for item in dataclasses.fields(Rows)
-    }
-    return Rows(**joined | {"tracks": tuple(tracks.values())})
+    joined = {}
+    for name in (item.name for item in dataclasses.fields(Rows)):
+        rows = [row for part in parts for row in getattr(part, name)]
+        joined[name] = tuple({row.key: row for row in rows}.values() if name in _ADVANCING else rows)
+    return Rows(**joined)

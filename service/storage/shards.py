@@ -12,6 +12,7 @@ from typing import Final
 from sqlalchemy import Connection, delete, select, update
 
 from service.errors import StorageError
+from service.storage.counts import save_counts
 from service.storage.database import insert_or_ignore
 from service.storage.events import save_events
 from service.storage.rows import EventRow, Rows
@@ -109,6 +110,7 @@ def save_flush(connection: Connection, shard: Shard, position: int, rows: Rows, 
     save_blocks(connection, rows.blocks, now_us=now_us)
     save_summaries(connection, rows.tracks, now_us=now_us)
     save_events(connection, rows.events, now_us=now_us)
+    save_counts(connection, rows.crossings, rows.minutes, rows.cells, now_us=now_us)
     return Shard(shard.sensor_id, shard.epoch, shard.epoch_first_position, cursor, shard.snapshot)
 
 

@@ -163,3 +163,65 @@ events = Table(
     Index("ix_events_by_sensor", "sensor", "time_us", "epoch", "number"),
     Index("ix_events_stored_day", "stored_day"),
 )
+
+# The crossings of a line and minute in one row: a day of a line is 1,440 rows, and a crossing takes 54
+# bytes. No foreign key, for the reason given at track_states.
+crossing_blocks = Table(
+    "crossing_blocks",
+    metadata,
+    Column("sensor", Integer, nullable=False),
+    Column("minute", BigInteger, nullable=False),  # since 1970
+    Column("line_id", Text, nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("part", BigInteger, nullable=False),
+    Column("as_of", BigInteger, nullable=False),
+    Column("stored_day", Integer, nullable=False),
+    Column("records", LargeBinary, nullable=False),  # array of traffic.records.CROSSING
+    PrimaryKeyConstraint("sensor", "minute", "line_id", "epoch", "part"),
+    Index("ix_crossing_blocks_stored_day", "stored_day"),
+)
+
+traffic_minutes = Table(
+    "traffic_minutes",
+    metadata,
+    Column("sensor", Integer, nullable=False),
+    Column("minute", BigInteger, nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("as_of", BigInteger, nullable=False),
+    Column("frames", Integer, nullable=False),
+    Column("expected", Integer, nullable=False),
+    Column("observed_us", Integer, nullable=False),
+    Column("stored_day", Integer, nullable=False),
+    PrimaryKeyConstraint("sensor", "minute", "epoch"),
+    Index("ix_traffic_minutes_stored_day", "stored_day"),
+)
+
+cell_minutes = Table(
+    "cell_minutes",
+    metadata,
+    Column("sensor", Integer, nullable=False),
+    Column("minute", BigInteger, nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("map_version", Integer, nullable=False),
+    Column("as_of", BigInteger, nullable=False),
+    Column("stored_day", Integer, nullable=False),
+    Column("cells", LargeBinary, nullable=False),  # array of traffic.cells.CELL
+    PrimaryKeyConstraint("sensor", "minute", "epoch", "map_version"),
+    Index("ix_cell_minutes_stored_day", "stored_day"),
+)
+
+# What people counted by hand; kept until it is replaced or deleted.
+manual_counts = Table(
+    "manual_counts",
+    metadata,
+    Column("sensor", Integer, ForeignKey("sensors.ordinal"), nullable=False),
+    Column("start_us", BigInteger, nullable=False),
+    Column("interval_s", Integer, nullable=False),
+    Column("line_id", Text, nullable=False),
+    Column("lane", Integer, nullable=False),  # 0: all lanes
+    Column("direction", Integer, nullable=False),  # 0: both
+    Column("length_class", Text, nullable=False),  # empty: all
+    Column("counted", Integer, nullable=False),
+    Column("updated_us", BigInteger, nullable=False),
+    PrimaryKeyConstraint("sensor", "start_us", "interval_s", "line_id", "lane", "direction", "length_class"),
+)

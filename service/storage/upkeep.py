@@ -23,7 +23,14 @@ from sqlalchemy import (
 
 from service.storage.database import connection as reading
 from service.storage.database import session_scope
-from service.storage.tables import events, track_states, tracks
+from service.storage.tables import (
+    cell_minutes,
+    crossing_blocks,
+    events,
+    track_states,
+    tracks,
+    traffic_minutes,
+)
 
 BATCH_ROWS: Final = 2000  # of one transaction, so that a flush never waits long behind the deletion of a day
 PARTITION_PREFIX: Final = "track_states_"
@@ -44,6 +51,7 @@ class Retention:
     states_days: int = 7
     tracks_days: int = 400
     events_days: int = 400
+    counts_days: int = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +61,7 @@ class Expired:
     state_blocks: int = 0
     tracks: int = 0
     events: int = 0
+    counts: int = 0  # minutes of crossings, of frames received and of Edie's sums
     partitions: int = 0  # of PostgreSQL, dropped whole; their blocks are not counted
 
 
@@ -73,6 +82,10 @@ def keep_up(engine: Engine, retention: Retention, *, now_us: int) -> Expired:
         state_blocks=_expire(engine, track_states, oldest_states),
         tracks=_expire(engine, tracks, today - retention.tracks_days),
         events=_expire(engine, events, today - retention.events_days),
+        counts=sum(
+            _expire(engine, table, today - retention.counts_days)
+            for table in (crossing_blocks, traffic_minutes, cell_minutes)
+        ),
         partitions=partitions,
     )
 

@@ -6,13 +6,14 @@ are integer microseconds since 1970.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
 
 import numpy as np
 
 from service.tracking.model import F32, F64, I64, U8, Bool
+from service.traffic.records import Counts
 
 NO_LANE = 0  # in every column of lane indices
 MOST_LANES = 255  # an index is one byte
@@ -136,6 +137,7 @@ class Outputs:
     changes: tuple[LaneChange, ...] = ()
     map: LaneMap | None = None  # that came into force
     drift: LaneDrift | None = None
+    counts: Counts = field(default_factory=Counts)
 
 
 def no_samples() -> Samples:

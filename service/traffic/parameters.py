@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from service.errors import InvalidInput
 from service.formats.sensor import TRAFFIC_PREFIX, SensorConfig
 from service.tracking.parameters import with_setting
+from service.traffic.count_parameters import CountParameters
 from service.traffic.paths import PathParameters
 
 
@@ -19,6 +20,7 @@ class TrafficParameters:
     """How traffic is analysed; `wayside track --set traffic.<group>.<name>=value` changes one value."""
 
     paths: PathParameters = field(default_factory=PathParameters)
+    counting: CountParameters = field(default_factory=CountParameters)
 
     def as_dict(self) -> dict[str, object]:
         """Return the parameters as nested plain values."""

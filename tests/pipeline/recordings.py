@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from service.formats.sensor import SensorConfig
+from service.formats.sensor import CountLine, SensorConfig
 from service.pipeline.fold import start, step
 from service.pipeline.fold_state import FoldOutput
 from service.pipeline.records import FrameRecord, Record
@@ -17,7 +17,9 @@ from tests.pipeline import simple_tracker
 
 START_US = 1_747_029_600_000_000
 PERIOD_US = 50_000
-CONFIG = SensorConfig(sensor_id="radar-1")
+CONFIG = SensorConfig(
+    sensor_id="radar-1", count_lines=(CountLine(line_id="C45", p0=(0.0, 45.0), p1=(14.0, 45.0)),)
+)
 
 
 def frame(sequence: int | None, time_us: int, *, boot_id: str | None = None, vehicles: int = 2) -> Frame:
@@ -77,7 +79,14 @@ def all_rows(outputs: Iterable[FoldOutput]) -> Rows:
         events=tuple(dataclasses.replace(row, as_of=0) for out in outputs for row in out.rows.events),
         lane_changes=tuple(row for out in outputs for row in out.rows.lane_changes),
         lane_maps=tuple(row for out in outputs for row in out.rows.lane_maps),
+        **{name: _newest(outputs, name) for name in ("crossings", "minutes", "cells")},
     )
+
+
+def _newest(outputs: Sequence[FoldOutput], name: str) -> tuple[object, ...]:
+    """The newest of the rows that are given out again and again, by their keys."""
+    rows = {row.key: dataclasses.replace(row, as_of=0) for out in outputs for row in getattr(out.rows, name)}
+    return tuple(rows[key] for key in sorted(rows))
 
 
 def history(outputs: Iterable[FoldOutput]) -> list[tuple[object, ...]]:

@@ -5,11 +5,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from service.storage.database import connection, open_database
 from service.storage.events import list_events
-from service.storage.tables import track_states, tracks
+from service.storage.tables import crossing_blocks, track_states, tracks, traffic_minutes
+from service.traffic.records import CROSSING
 from tests.pipeline.crash_host import FRAMES
 
 ROOT = Path(__file__).parents[2]
@@ -40,15 +41,20 @@ def post_and_kill(data_dir: Path, first: int, after: int) -> int:
     return int((rest[-1] if rest else line).split()[0])
 
 
-def rows_of(data_dir: Path) -> tuple[list, list, list]:
+def rows_of(data_dir: Path) -> tuple[list, list, list, list]:
     engine: Engine = open_database(f"sqlite:///{data_dir}/rows.sqlite")
     with connection(engine) as reader:
         summaries = [tuple(row) for row in reader.execute(tracks.select().order_by(tracks.c.number))]
         order = (track_states.c.number, track_states.c.second)
         blocks = [tuple(row) for row in reader.execute(track_states.select().order_by(*order))]
         events = list(list_events(reader, "radar-1").items)
+        counts = [
+            tuple(row)
+            for table in (crossing_blocks, traffic_minutes)
+            for row in reader.execute(select(*(c for c in table.c if c.name != "as_of")).order_by("minute"))
+        ]
     engine.dispose()
-    return summaries, blocks, events
+    return summaries, blocks, events, counts
 
 
 @pytest.mark.slow
@@ -67,6 +73,8 @@ def test_a_host_that_is_killed_while_frames_come_in_loses_none_and_doubles_none(
     assert without_position(killed[0]) == without_position(whole[0])
     assert killed[1:] == whole[1:]
     assert killed[2] == []
+    crossed = sum(len(row[-1]) // CROSSING.itemsize for row in killed[3] if isinstance(row[-1], bytes))
+    assert crossed == 2  # both vehicles, each once
 
 
 def without_position(summaries: list) -> list:

@@ -1,0 +1,39 @@
+"""What the counting of vehicles at lines is tuned by; lengths in metres, times in seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class CountParameters:
+    """Constants of crossings, stitching and ghosts, each with its source."""
+
+    travel_m: float = 1.5  # seen on both sides of a line before a crossing counts; above the jitter of a stop
+    edge_m: float = 0.5  # beyond the ends of a line that still cross it: a lateral standard deviation or two
+    fit_s: float = 0.5  # on either side of a crossing: samples of the straight fit that gives its time
+    window_s: float = 3.0  # of samples kept for fits and ghosts
+
+    # Pieces of one vehicle: cost = (ds - v gap)^2 / (a + b gap)^2 + dd^2 / (c + d gap)^2 + dv^2 / e^2
+    stitch_gap_s: float = 3.0
+    stitch_along_m: float = 0.8
+    stitch_along_mps: float = 0.8
+    stitch_across_m: float = 0.7
+    stitch_across_mps: float = 0.4
+    stitch_speed_mps: float = 2.0
+    stitch_cost: float = 9.0  # three standard deviations
+
+    # A piece that goes along inside another, older one is its ghost.
+    ghost_share: float = 0.6  # of its life
+    ghost_along_m: float = 4.0
+    ghost_across_m: float = 1.6
+
+    least_life_s: float = 1.0  # listed for less, a vehicle is more often a ghost than not
+    least_existence: float = 0.5  # of a track whose crossing is counted
+    least_speed_mps: float = 0.1  # of a crossing: what 1/v and occupancy can bear
+    assumed_length_m: float = 4.5  # of a vehicle whose length is not known yet: a car's
+    cell_m: float = 20.0  # of a lane: Edie's cells hold a few vehicles each, and a minute of them
+    blind_s: float = 1.0  # without a frame before traffic counts as unobserved; the tracker coasts for longer
+
+    auto_range_m: float = 60.0  # where a line is placed when none is drawn: many points a vehicle, few hidden
+    auto_margin_m: float = 2.5  # by which it reaches beyond the outer lanes' centre lines

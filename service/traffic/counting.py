@@ -1,0 +1,178 @@
+"""One step of counting: the tracks of a frame turn into crossings of the count lines, and into Edie's sums.
+
+The crossings of a line and minute are collected in a block, which is given out again each time it grows, so
+that the newest counts can be read; a block stays open for another minute, for vehicles that crossed long
+before they were far enough behind the line. The sums of a minute are given out every
+ten seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.tracking.model import TrackEstimates
+from service.traffic.cells import NO_RULER, MinuteCells, Ruler, cell_records, drive, ruler_of
+from service.traffic.count_parameters import CountParameters
+from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
+from service.traffic.crossings import LineStates, View, cross, no_line_states
+from service.traffic.line_placing import place_lines
+from service.traffic.lines import Line, lines_of
+from service.traffic.model import LaneMap, Moment
+from service.traffic.parameters import TrafficSetup
+from service.traffic.records import (
+    CROSSING,
+    MINUTE_US,
+    CellSums,
+    Counts,
+    Crossing,
+    MinuteBlock,
+    Received,
+    record_of,
+)
+from service.traffic.stitching import Vehicles, join, no_vehicles
+from service.traffic.window import Scan, remember, scan_of
+
+OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
+TELL_US = 10_000_000  # between two reports of the running minute
+_SLOW_MPS = 1.0  # below, the time from bumper to centre is taken as at this speed
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """The newest vehicle over a line in one lane and direction, which the next one's headway refers to."""
+
+    line_id: str
+    lane: int
+    direction: int
+    front_us: int  # when its front bumper crossed
+    passing_s: float  # from its front to its rear bumper
+
+
+@dataclass(frozen=True, slots=True)
+class CountState:
+    """What counting remembers of a sensor; a value, never changed in place."""
+
+    lines: tuple[Line, ...]
+    vehicles: Vehicles
+    states: LineStates
+    window: tuple[Scan, ...]
+    leaders: tuple[Leader, ...]
+    blocks: tuple[MinuteBlock, ...]  # that may still grow
+    coverage: Coverage
+    ruler: Ruler
+    cells: tuple[MinuteCells, ...]
+    crossings: int  # given out in this epoch
+
+    @property
+    def idle(self) -> bool:
+        """True when the passing of time alone gives nothing more out."""
+        return self.coverage.told and not self.states.pending
+
+
+def nothing_counted() -> CountState:
+    """Return the state before the first frame."""
+    return CountState((), no_vehicles(), no_line_states(0, 0), (), (), (), NOTHING_RECEIVED, NO_RULER, (), 0)
+
+
+def count(
+    state: CountState, moment: Moment, estimates: TrackEstimates, lanes: LaneMap, setup: TrafficSetup
+) -> tuple[CountState, Counts]:
+    """Return the state after a frame or tick, and what has become certain."""
+    p, now_us = setup.parameters.counting, moment.time_us
+    state = _on_lines(state, lines_of(setup.config.count_lines) or place_lines(lanes, p))
+    scan = scan_of(now_us, moment.frame, estimates)
+    window = remember(state.window, scan, round(p.window_s * 1e6))
+    joined = join(state.vehicles, scan, p)
+    states, found = cross(state.states, joined, View(window, state.lines, p))
+    ruler = state.ruler if state.ruler.version == lanes.version else ruler_of(lanes, p.cell_m)
+    cells = drive(state.cells, ruler, joined, scan.lane, now_us)
+    coverage = state.coverage
+    if not moment.tick:
+        coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
+    crossings, leaders = _followed(found, state, lanes, p)
+    blocks, grown = _collected(state.blocks, crossings, now_us)
+    state = replace(
+        state, vehicles=joined.vehicles, states=states, window=window, leaders=leaders, blocks=blocks,
+        coverage=coverage, ruler=ruler, cells=cells, crossings=state.crossings + len(crossings),
+    )  # fmt: skip
+    state, received, sums = _told(state, moment)
+    return state, Counts(crossings, grown, received, sums)
+
+
+def report(state: CountState) -> Counts:
+    """Return all that is known and not final, where an epoch ends."""
+    return Counts(received=state.coverage.minutes, cells=_sums(state.cells))
+
+
+def _on_lines(state: CountState, lines: tuple[Line, ...]) -> CountState:
+    """Return the state with these lines; to others, where vehicles stand must be seen anew."""
+    if lines == state.lines:
+        return state
+    states = no_line_states(len(state.vehicles.number), len(lines))
+    return replace(state, lines=lines, states=states, leaders=())
+
+
+def _followed(
+    found: Sequence[Crossing], state: CountState, lanes: LaneMap, p: CountParameters
+) -> tuple[tuple[Crossing, ...], tuple[Leader, ...]]:
+    """Return the crossings with number, map, headway and gap, and whom the next ones follow."""
+    leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
+    crossings = []
+    for k, crossing in enumerate(found, start=state.crossings + 1):
+        length_m = p.assumed_length_m if math.isnan(crossing.length_m) else crossing.length_m
+        passing_s = length_m / max(crossing.speed_mps, _SLOW_MPS)
+        front_us = crossing.time_us - round(passing_s / 2 * 1e6)
+        key = (crossing.line_id, crossing.lane, crossing.direction)
+        leader = leaders.get(key) if crossing.lane else None
+        headway_s = gap_s = math.nan
+        if leader is not None and front_us > leader.front_us:
+            headway_s = (front_us - leader.front_us) / 1e6
+            gap_s = headway_s - leader.passing_s
+        if crossing.lane and (leader is None or front_us > leader.front_us):
+            leaders[key] = Leader(*key, front_us, passing_s)
+        crossings.append(
+            replace(crossing, number=k, map_version=lanes.version, headway_s=headway_s, gap_s=gap_s)
+        )
+    return tuple(crossings), tuple(leaders.values())
+
+
+def _collected(
+    blocks: tuple[MinuteBlock, ...], crossings: Sequence[Crossing], now_us: int
+) -> tuple[tuple[MinuteBlock, ...], tuple[MinuteBlock, ...]]:
+    """Return the blocks that stay open, and those that have grown."""
+    opened = {(x.line_id, x.minute): x for x in blocks if now_us - x.minute * MINUTE_US < OPEN_US}
+    grown: dict[tuple[str, int], MinuteBlock] = {}
+    for crossing in crossings:
+        minute = crossing.time_us // MINUTE_US
+        late = now_us - minute * MINUTE_US >= OPEN_US
+        key = (crossing.line_id, minute)
+        block = grown.get(key) or opened.get(key)
+        if block is None:
+            part = now_us // 1000 if late else 0
+            block = MinuteBlock(*key, part, np.zeros((0, CROSSING.itemsize), dtype=np.uint8))
+        grown[key] = replace(block, records=np.concatenate([block.records, record_of(crossing)]))
+        if not late:
+            opened[key] = grown[key]
+    return tuple(opened.values()), tuple(grown.values())
+
+
+def _told(state: CountState, moment: Moment) -> tuple[CountState, tuple[Received, ...], tuple[CellSums, ...]]:
+    """Return the state without minutes that are final, and every ten seconds what is known of the others."""
+    coverage, now_us = state.coverage, moment.time_us
+    before_us = state.window[-2].time_us if len(state.window) > 1 else 0
+    due = moment.tick or now_us // TELL_US != before_us // TELL_US
+    if coverage.told or not due:
+        return state, (), ()
+    received, sums = coverage.minutes, _sums(state.cells)
+    final = (now_us - OPEN_US) // MINUTE_US
+    kept = tuple(x for x in received if x.minute > final)
+    cells = tuple(x for x in state.cells if x.minute > final)
+    return replace(state, coverage=Coverage(kept, coverage.last_us, told=True), cells=cells), received, sums
+
+
+def _sums(cells: Sequence[MinuteCells]) -> tuple[CellSums, ...]:
+    return tuple(CellSums(x.minute, x.version, cell_records(x)) for x in cells)

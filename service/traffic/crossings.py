@@ -1,0 +1,245 @@
+"""Turn the vehicles of each scan into crossings of count lines: once per vehicle and line.
+
+A vehicle crosses when it was seen a minimum travel before the line, went over it inside its ends, and was
+seen the same travel behind it; standing on the line, creeping and trembling change nothing. The time is
+where a straight fit of the distance over half a second on either side is zero. A piece that goes along
+inside an older track is its ghost and does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.tracking.model import F64, I64, Bool
+from service.traffic.count_parameters import CountParameters
+from service.traffic.ghosts import is_ghost
+from service.traffic.lines import Line, sides
+from service.traffic.records import Crossing
+from service.traffic.stitching import Joined, Vehicles
+from service.traffic.window import Scan, samples_of
+
+_FIT_LEAST = 4  # samples of a fit; fewer: the step over the line alone
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A way over a line that is not far enough behind it yet, or whose fit wants later samples."""
+
+    line: int
+    number: int  # of the track that carries the vehicle now
+    vehicle: int
+    pieces: tuple[int, ...]  # numbers of the tracks before and behind the line
+    direction: int
+    time_us: int  # of the step over the line
+    x_m: float
+    y_m: float
+    passed: bool  # far enough behind the line
+    fitted: Crossing | None
+
+
+@dataclass(frozen=True, slots=True)
+class LineStates:
+    """Where vehicles stand to lines: (V, L) each, rows as in Vehicles, and what is pending."""
+
+    distance_m: F64  # at the last measurement, NaN before the first
+    side: I64  # -1, +1: where it was seen far enough away; 0: not yet
+    counted: Bool
+    pending: tuple[Pending, ...]
+
+
+def no_line_states(vehicles: int, lines: int) -> LineStates:
+    """Return that nothing is known of so many vehicles."""
+    shape = (vehicles, lines)
+    return LineStates(np.full(shape, np.nan), np.zeros(shape, np.int64), np.zeros(shape, np.bool_), ())
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What a crossing is judged by: the newest scan last, the lines, and the constants."""
+
+    window: tuple[Scan, ...]
+    lines: tuple[Line, ...]
+    parameters: CountParameters
+
+    @property
+    def time_us(self) -> int:
+        """Return the time of the newest scan."""
+        return self.window[-1].time_us
+
+
+def cross(before: LineStates, joined: Joined, view: View) -> tuple[LineStates, tuple[Crossing, ...]]:
+    """Return the states after a scan and the crossings that are certain now, by time."""
+    p, v = view.parameters, joined.vehicles
+    states = _aligned(before, joined, view)
+    seen = np.flatnonzero(joined.measured >= 0)
+    now, _ = sides(view.lines, v.x_m[seen], v.y_m[seen])
+    was, side = states.distance_m[seen], states.side[seen]
+    pending = _follow(states.pending, joined)
+    known = ~np.isnan(was)
+    for i, line in np.argwhere(known & ((was >= 0) != (now >= 0))):
+        row = int(seen[i])
+        pending = [x for x in pending if x.passed or (x.number, x.line) != (int(v.number[row]), int(line))]
+        towards = 1 if now[i, line] >= 0 else -1
+        if side[i, line] == -towards and not states.counted[row, line]:
+            step = _step_over(joined, row, int(line), was[i, line], now[i, line], view)
+            pending += [step] if step is not None else []
+    far, sign = np.abs(now) >= p.travel_m, np.where(now >= 0, 1, -1)
+    for i, line in np.argwhere(far & (side == -sign)):
+        pending = [
+            replace(x, passed=True) if _is_on(x, int(v.number[seen[i]]), int(line), int(sign[i, line])) else x
+            for x in pending
+        ]
+    states.distance_m[seen], states.side[seen] = now, np.where(far, sign, side)
+    for x in pending:
+        if x.passed:
+            states.counted[v.number == x.number, x.line] = True
+    return _emit(states, joined, pending, view)
+
+
+def _is_on(pending: Pending, number: int, line: int, direction: int) -> bool:
+    return (pending.number, pending.line, pending.direction) == (number, line, direction)
+
+
+def _aligned(before: LineStates, joined: Joined, view: View) -> LineStates:
+    """Return the rows of the vehicles as they stand now, in arrays of their own.
+
+    A new one has been followed since its birth, though not listed: it starts on the side where it was then.
+    """
+    blank = no_line_states(len(joined.origin), len(view.lines))
+    if before.distance_m.shape[1] != len(view.lines):
+        return blank
+    old = joined.origin >= 0
+    for name in ("distance_m", "side", "counted"):
+        getattr(blank, name)[old] = getattr(before, name)[joined.origin[old]]
+    if not old.all():
+        born, _ = sides(view.lines, joined.from_x_m[~old], joined.from_y_m[~old])
+        blank.distance_m[~old] = born
+        blank.side[~old] = np.where(np.abs(born) >= view.parameters.travel_m, np.where(born >= 0, 1, -1), 0)
+    return replace(blank, pending=before.pending)
+
+
+def _follow(pending: tuple[Pending, ...], joined: Joined) -> list[Pending]:
+    """Return what is pending of vehicles that are still known, carried over to their newest tracks."""
+    number, vehicle = joined.vehicles.number, joined.vehicles.vehicle
+    kept = []
+    for x in pending:
+        if np.any(number == x.number):
+            kept.append(x)
+            continue
+        heirs = number[vehicle == x.vehicle]
+        if len(heirs):
+            kept.append(replace(x, number=int(heirs[-1]), pieces=(*x.pieces, int(heirs[-1]))))
+        elif x.passed:
+            kept.append(x)
+    return kept
+
+
+def _step_over(  # noqa: PLR0913, PLR0917 - one step, its two ends and what it is seen in
+    joined: Joined, row: int, line: int, was: float, now: float, view: View
+) -> Pending | None:
+    """Return the pending crossing of a step over a line, None when it passes beside its ends."""
+    v, share = joined.vehicles, was / (was - now)
+    x = joined.from_x_m[row] + share * (v.x_m[row] - joined.from_x_m[row])
+    y = joined.from_y_m[row] + share * (v.y_m[row] - joined.from_y_m[row])
+    _, along = sides(view.lines[line : line + 1], np.array([x]), np.array([y]))
+    edge = view.parameters.edge_m
+    if not -edge <= along[0, 0] <= view.lines[line].length_m + edge:
+        return None
+    before_us = int(joined.from_us[row])
+    pieces = {int(joined.from_number[row]): None, int(v.number[row]): None}
+    return Pending(
+        line=line,
+        number=int(v.number[row]),
+        vehicle=int(v.vehicle[row]),
+        pieces=tuple(pieces),
+        direction=1 if now >= 0 else -1,
+        time_us=before_us + round(share * (view.time_us - before_us)),
+        x_m=float(x),
+        y_m=float(y),
+        passed=False,
+        fitted=None,
+    )
+
+
+def _emit(
+    states: LineStates, joined: Joined, pending: Sequence[Pending], view: View
+) -> tuple[LineStates, tuple[Crossing, ...]]:
+    """Return what stays pending, and the crossings that are behind their line, fitted and no ghost's."""
+    p, v = view.parameters, joined.vehicles
+    kept, done = [], []
+    for x in pending:
+        row = np.flatnonzero(v.number == x.number)
+        life_s = int((v.last_us - v.first_us)[row[0]]) / 1e6 if len(row) else None
+        if x.fitted is None and (life_s is None or view.time_us - x.time_us >= round(p.fit_s * 1e6)):
+            x = replace(x, fitted=_fit(x, view))  # noqa: PLW2901 - the same one, further on
+        if life_s is None or (x.passed and x.fitted is not None and life_s >= p.least_life_s):
+            if life_s is not None and x.fitted is not None and _is_real(x, x.fitted, v, view):
+                done.append(x.fitted)
+        else:
+            kept.append(x)
+    done.sort(key=lambda crossing: (crossing.time_us, crossing.track))
+    return replace(states, pending=tuple(kept)), tuple(done)
+
+
+def _is_real(x: Pending, fitted: Crossing, v: Vehicles, view: View) -> bool:
+    p = view.parameters
+    if fitted.probability < p.least_existence:
+        return False
+    row = int(np.flatnonzero(v.number == x.number)[0])
+    older = (v.track_us < v.track_us[row]) | (v.track_us == v.track_us[row]) & (v.number < x.number)
+    older &= np.hypot(v.x_m - v.x_m[row], v.y_m - v.y_m[row]) < 2 * p.ghost_along_m  # only these can be
+    return not is_ghost(view.window, x.number, v.number[older].tolist(), p)
+
+
+def _fit(x: Pending, view: View) -> Crossing:
+    """Return the crossing as the samples on both sides of the line have it."""
+    p, line = view.parameters, view.lines[x.line]
+    samples = samples_of(view.window, x.pieces, x.time_us)
+    near = np.abs(samples.time_s) <= p.fit_s
+    if np.count_nonzero(near) < _FIT_LEAST:
+        near = np.abs(samples.time_s) <= max(p.fit_s, float(np.sort(np.abs(samples.time_s))[:_FIT_LEAST][-1]))
+    time_s = samples.time_s[near]
+    distance, _ = sides([line], samples.x_m[near], samples.y_m[near])
+    delay_s = _zero(time_s, distance[:, 0], x.direction)
+    speed = np.hypot(samples.vx_mps[near], samples.vy_mps[near])
+    nearest = int(np.argmin(np.abs(samples.time_s)))
+    return Crossing(
+        line_id=line.line_id,
+        time_us=round(x.time_us / 1e3 + delay_s * 1e3) * 1000,  # to the millisecond, as it is told
+        track=x.number,
+        vehicle=x.vehicle,
+        frame=int(samples.frame[nearest]),
+        lane=int(samples.lane[nearest]),
+        direction=x.direction,
+        x_m=x.x_m,
+        y_m=x.y_m,
+        speed_mps=max(float(_at_zero(time_s - delay_s, speed)), p.least_speed_mps),
+        length_m=float(samples.length_m[-1]),
+        probability=float(np.mean(samples.existence[near])),
+    )
+
+
+def _zero(time_s: F64, distance_m: F64, direction: int) -> float:
+    """Return when a straight fit of the distance is zero; 0 where it does not go over the line in time."""
+    mean_s, mean_m = float(np.mean(time_s)), float(np.mean(distance_m))
+    spread = float(np.sum((time_s - mean_s) ** 2))
+    if spread <= 0:
+        return 0.0
+    slope = float(np.sum((time_s - mean_s) * (distance_m - mean_m))) / spread
+    if slope * direction <= 0:
+        return 0.0
+    zero = mean_s - mean_m / slope
+    return zero if abs(zero) <= float(np.max(np.abs(time_s))) else 0.0
+
+
+def _at_zero(time_s: F64, values: F64) -> float:
+    """Return the value of a straight fit at time zero."""
+    mean_s = float(np.mean(time_s))
+    spread = float(np.sum((time_s - mean_s) ** 2))
+    if spread <= 0:
+        return float(np.mean(values))
+    slope = float(np.sum((time_s - mean_s) * values)) / spread
+    return float(np.mean(values)) - slope * mean_s
