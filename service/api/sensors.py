@@ -186,7 +186,7 @@ def _checked(config: SensorConfig) -> SensorConfig:
     """Return the configuration if the tracker can work with it; raises InvalidInput."""
     make_filter(config.filter)
     try:
-        config.tracker_parameters()
+        make_filter(config.filter, config.tracker_parameters().filters)
         traffic_setup(config)
     except InvalidInput as error:
         errors = [FieldError(f"/parameters{fault.pointer}", fault.reason) for fault in error.errors]

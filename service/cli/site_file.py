@@ -33,8 +33,8 @@ def with_settings(config: SensorConfig, filter_name: str | None, settings: Seque
     if filter_name is not None:
         changes["filter"] = filter_name
     config = config.model_copy(update=changes)
-    make_filter(config.filter)  # names a wrong filter, key or value now, before any work
-    config.tracker_parameters()
+    # names a wrong filter, key or value now, before any work
+    make_filter(config.filter, config.tracker_parameters().filters)
     traffic_setup(config)
     return config
 

@@ -169,6 +169,21 @@ class SageHusaParameters:
     gate_release_frames: int | None = 3
 
 
+@dataclass(frozen=True, slots=True)
+class ImmParameters:
+    """Interacting models: cruise (constant velocity), accelerate (damped constant acceleration), turn."""
+
+    velocity_density_m2ps3: float = 0.05  # white acceleration while cruising
+    accel_std_mps2: float = 0.95
+    accel_tau_s: float | None = 1.8
+    turn_std_mps2: float = 0.2
+    cruise_s: float = 8.6  # how long each lasts on average
+    accelerate_s: float = 1.2
+    turn_s: float = 0.6
+    robust_gate: float | None = 16.0
+    gate_release_frames: int | None = 3
+
+
 UNBOUNDED = 1e9  # a fading factor that no data of the paper reaches
 
 # The rows of the paper's tables 2 and 3: no guards.
@@ -194,3 +209,4 @@ class FilterParameters:
     srckf: SrckfParameters = field(default_factory=SrckfParameters)
     sh_ekf: SageHusaParameters = field(default_factory=SageHusaParameters)
     isrckf: SageHusaParameters = field(default_factory=SageHusaParameters)
+    imm: ImmParameters = field(default_factory=ImmParameters)

@@ -115,7 +115,10 @@ class SpaceFilter:
         """Return the tracks after the measurements of the frame."""
         ours = own(prediction)
         seen = self.see(ours.mean, ours.cov)
-        i = weigh_scan(self.space.sensor, z, R, beta, miss, z_hat=seen.z_hat)
+        return self.update_seen(ours, seen, weigh_scan(self.space.sensor, z, R, beta, miss, z_hat=seen.z_hat))
+
+    def update_seen(self, ours: Prediction, seen: Linearised, i: Innovations) -> FilterState:
+        """Return the tracks after innovations from a prediction made by `weighted.own`, as seen from it."""
         prior, i = self.adaptation.before(ours, seen, i)
         state = correct_guarded(ours, prior, seen, i, self.guard, square_root=self.square_root)
         self.adaptation.after(ours, seen, i, state)

@@ -123,7 +123,7 @@ def test_a_miss_leaves_the_prediction_and_the_memory(name):
 
     np.testing.assert_array_equal(missed.mean, prediction.mean)
     np.testing.assert_array_equal(missed.cov, prediction.cov)
-    np.testing.assert_array_equal(missed.memory, state.memory)
+    np.testing.assert_array_equal(missed.memory, prediction.memory)
 
 
 @EVERY_FILTER
@@ -136,7 +136,8 @@ def test_an_improbable_measurement_teaches_the_statistics_nothing(name):
 
     doubtful = chosen.update(prediction, z, own_R, np.full((4, 1), 0.05), np.full(4, 0.95))
 
-    np.testing.assert_array_equal(doubtful.memory, state.memory)
+    learnt = slice(1) if name == "imm" else slice(None)  # the states of its models move as the estimate does
+    np.testing.assert_array_equal(doubtful.memory[:, learnt], prediction.memory[:, learnt])
 
 
 @EVERY_FILTER

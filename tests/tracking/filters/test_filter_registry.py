@@ -11,7 +11,8 @@ def test_every_filter_answers_to_its_name(name):
 
 
 def test_the_family_is_there():
-    assert {"ekf", "stekf", "astekf", "astekf-paper"} <= set(filter_names())
+    family = {"ekf", "stekf", "astekf", "astekf-paper", "ukf", "st-ukf", "ast-ukf", "mast-ukf"}
+    assert family | {"srckf", "sh-ekf", "isrckf", "imm"} == set(filter_names())
 
 
 def test_an_unknown_filter_is_refused_with_the_names_of_the_known():
