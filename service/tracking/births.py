@@ -64,9 +64,10 @@ def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points:
     n_labels = 0
     for k in range(len(label)):
         n_labels = max(n_labels, label[k] + 1)
-    points = np.zeros(n_labels, dtype=np.int64)
-    frames = np.zeros(n_labels, dtype=np.int64)
-    newest = np.full(n_labels, -1, dtype=np.int64)
+    points, frames = np.zeros(n_labels, dtype=np.int64), np.zeros(n_labels, dtype=np.int64)
+    newest, good = np.empty(n_labels, dtype=np.int64), np.empty(n_labels, dtype=np.int64)
+    for c in range(n_labels):
+        newest[c] = -1
     for k in range(len(label)):  # oldest frame first: a change of frame is a new frame
         c = label[k]
         if c >= 0 and free[k]:
@@ -74,8 +75,12 @@ def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points:
             if frame[k] != newest[c]:
                 frames[c] += 1
                 newest[c] = frame[k]
-    good = (points >= min_points) & (frames >= min_frames) & (newest == current)
-    return np.flatnonzero(good)
+    found = 0
+    for c in range(n_labels):
+        if points[c] >= min_points and frames[c] >= min_frames and newest[c] == current:
+            good[found] = c
+            found += 1
+    return good[:found]
 
 
 def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64:
@@ -166,10 +171,9 @@ def standing_births(
     if len(points) < p.standing_cluster_points:
         return rows
     # one scatterer repeats in every frame: thin to cells and remember how many points each stands for
-    cell = np.round(points[:, [PX, PY]] / 0.3).astype(np.int64)
-    _, first, back, times = np.unique(
-        cell, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
+    column, row = np.round(points[:, [PX, PY]] / 0.3).astype(np.int64).T
+    cell = column * (1 + np.ptp(row)) + row - row.min()
+    _, first, back, times = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
     x = np.bincount(back, points[:, PX]) / times
     y = np.bincount(back, points[:, PY]) / times
     on_road, along = driven[first], road_heading_rad[first]

@@ -46,7 +46,7 @@ def point_costs(points: F64, boxes: F64) -> F64:
     """
     n_boxes, n_points = len(boxes), len(points)
     cost = np.empty((n_boxes, n_points))
-    x, y = np.empty(n_points), np.empty(n_points)
+    x, y, near = np.empty(n_points), np.empty(n_points), np.empty(n_points, np.bool_)
     variance = np.empty(n_points)  # the larger one of a point's, which bounds it in any direction
     widest = 0.0
     for j in range(n_points):
@@ -69,12 +69,13 @@ def point_costs(points: F64, boxes: F64) -> F64:
         reach, center_x, center_y = _REACH_M + half_length, b[BX], b[BY]
         reach_x = min(reach, abs(b[BSIN]) * along + abs(b[BCOS]) * across)
         reach_y = min(reach, abs(b[BCOS]) * along + abs(b[BSIN]) * across)
-        for j in range(n_points):
+        for j in range(n_points):  # without a branch, so that several points are compared at once
             cost[i, j] = np.inf
-            dx, dy = x[j] - center_x, y[j] - center_y
-            if abs(dx) > reach_x or abs(dy) > reach_y:
+            near[j] = (abs(x[j] - center_x) <= reach_x) & (abs(y[j] - center_y) <= reach_y)
+        for j in range(n_points):
+            if not near[j]:
                 continue
-            p = points[j]
+            dx, dy, p = x[j] - center_x, y[j] - center_y, points[j]
             u = b[BSIN] * dx + b[BCOS] * dy
             w = b[BCOS] * dx - b[BSIN] * dy
             dw = max(abs(w) - 0.35 * width, 0.0)

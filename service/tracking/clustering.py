@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from service.errors import InvalidInput
-from service.tracking.clustering_kernels import ROUNDING, density_clusters, split_clusters
+from service.tracking.clustering_kernels import ROUNDING, density_clusters, move_on, scale, split_clusters
 from service.tracking.clustering_parameters import ClusteringParameters
 from service.tracking.model import F64, I64
 
@@ -50,14 +50,11 @@ def compensate(  # noqa: PLR0913, PLR0917 - columns of the points
     With a road direction, (2,) or one for each point (N, 2), the point moves along the road at the speed
     whose radial part is its Doppler; without, along its line of sight.
     """
-    range_m = np.maximum(np.hypot(x_m, y_m), np.finfo(float).tiny)
-    direction_x, direction_y = x_m / range_m, y_m / range_m
-    path_m = np.where(np.isfinite(radial_velocity_mps), radial_velocity_mps * age_s, 0.0)
-    if road_direction is not None:
-        cosine = direction_x * road_direction[..., 0] + direction_y * road_direction[..., 1]
-        path_m /= np.copysign(np.maximum(np.abs(cosine), parameters.compensation_min_cosine), cosine)
-        direction_x, direction_y = road_direction[..., 0], road_direction[..., 1]
-    return x_m + path_m * direction_x, y_m + path_m * direction_y
+    x, y, speed, age = (_column(c) for c in (x_m, y_m, radial_velocity_mps, age_s))
+    moved_x, moved_y = np.empty_like(x), np.empty_like(y)
+    road = np.full((1, 2), np.nan) if road_direction is None else _column(road_direction).reshape(-1, 2)
+    move_on(x, y, speed, age, road, float(parameters.compensation_min_cosine), moved_x, moved_y)
+    return moved_x, moved_y
 
 
 def road_axes(x_m: F64, y_m: F64, road_direction: F64 | None) -> tuple[F64, F64]:
@@ -84,24 +81,33 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
     one; where nobody has one, Doppler separates nothing and the along radius is the middle of its limits.
     """
     p = parameters
-    known = np.isfinite(radial_velocity_mps)
-    speed_mps = _median(np.abs(radial_velocity_mps[known])) if known.any() else np.nan
-    eps_along_m = np.clip(
-        p.eps_along_offset_m + p.eps_along_slope_s * speed_mps, p.eps_along_min_m, p.eps_along_max_m
-    )
-    if not known.any():
+    doppler = _column(radial_velocity_mps)
+    known = np.isfinite(doppler)
+    all_known = bool(known.all())
+    if known.any():
+        speed_mps = _median(np.abs(doppler if all_known else doppler[known]))
+        eps_along_m = p.eps_along_offset_m + p.eps_along_slope_s * speed_mps
+        eps_along_m = min(max(eps_along_m, p.eps_along_min_m), p.eps_along_max_m)
+    else:
         eps_along_m = (p.eps_along_min_m + p.eps_along_max_m) / 2
     noise_rad = _median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
-    scaled = np.empty((len(along_m), 4))
-    scaled[:, 0] = along_m / (eps_along_m * (1.0 + p.eps_along_growth_per_m * range_m))
-    scaled[:, 1] = across_m / np.hypot(p.eps_across_m, p.eps_across_noise * noise_rad * range_m)
-    scaled[:, 2] = np.where(known, radial_velocity_mps, 0.0) / p.eps_doppler_mps
-    scaled[:, 3] = age_s / p.eps_age_s
-    if known.any() and not known.all():
+    scaled = np.empty((len(doppler), 4))
+    scale(
+        _column(along_m), _column(across_m), _column(range_m), doppler, _column(age_s),
+        (float(eps_along_m), float(p.eps_along_growth_per_m), float(p.eps_across_m),
+         float(p.eps_across_noise * noise_rad), float(p.eps_doppler_mps), float(p.eps_age_s)),
+        scaled,
+    )  # fmt: skip
+    if known.any() and not all_known:
         rest = [0, 1, 3]
         nearest = cKDTree(scaled[known][:, rest]).query(scaled[~known][:, rest])[1]
         scaled[~known, 2] = scaled[known, 2][nearest]
     return scaled
+
+
+def _column(values: F64) -> F64:
+    """Return an array of its own for the kernels, which compile anew for other types and layouts."""
+    return np.array(values, np.float64, order="C")
 
 
 def _median(values: F64) -> float:

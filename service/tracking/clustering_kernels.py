@@ -1,6 +1,8 @@
-"""The compiled kernels of the clustering: weighted DBSCAN with radius 1, and the lateral split."""
+"""The compiled kernels of the clustering: features, weighted DBSCAN with radius 1, and the lateral split."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -8,9 +10,40 @@ from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64
 
 NOISE = -1
+_LEAST = 2.2250738585072014e-308  # smallest normal number: a point at the radar has no direction
 CELL = 1.0 + 1e-6  # side of a grid cell: the radius, and some for rounding
 MOST_CELLS_PER_POINT = 4  # larger cells when a few points lie far out
 ROUNDING = 1e-9  # relative; a sum of weights that should just reach the limit counts as reaching it
+
+
+@kernel
+def move_on(
+    x: F64, y: F64, speed: F64, age: F64, road: F64, min_cosine: float, moved_x: F64, moved_y: F64
+) -> None:
+    """Write where points (N,) are at age 0; `clustering.compensate`. road: (1, 2) or (N, 2), NaN for none."""
+    for k in range(len(x)):
+        r = max(math.hypot(x[k], y[k]), _LEAST)
+        direction_x, direction_y = x[k] / r, y[k] / r
+        path = speed[k] * age[k] if math.isfinite(speed[k]) else 0.0
+        along_x, along_y = road[k % len(road), 0], road[k % len(road), 1]
+        if not math.isnan(along_x):
+            cosine = direction_x * along_x + direction_y * along_y
+            path /= math.copysign(max(abs(cosine), min_cosine), cosine)
+            direction_x, direction_y = along_x, along_y
+        moved_x[k], moved_y[k] = x[k] + path * direction_x, y[k] + path * direction_y
+
+
+@kernel
+def scale(
+    along: F64, across: F64, range_m: F64, doppler: F64, age: F64, radii: tuple[float, ...], scaled: F64
+) -> None:
+    """Write (N, 4) the columns in units of their radii; unknown Doppler as 0. See `clustering.features`."""
+    eps_along, growth, eps_across, noise_rad, eps_doppler, eps_age = radii
+    for k in range(len(along)):
+        scaled[k, 0] = along[k] / (eps_along * (1.0 + growth * range_m[k]))
+        scaled[k, 1] = across[k] / math.hypot(eps_across, noise_rad * range_m[k])
+        scaled[k, 2] = (doppler[k] if math.isfinite(doppler[k]) else 0.0) / eps_doppler
+        scaled[k, 3] = age[k] / eps_age
 
 
 @part

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.boxes import PG, PV, PX, PY
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, part
 from service.tracking.model import F32, F64, Bool
 
 # Less is forgotten: far below what adding a hit could notice, and far above the subnormal numbers that a cell
@@ -54,12 +54,20 @@ def empty_map(parameters: ClutterParameters) -> ClutterMap:
     return ClutterMap(np.zeros((rows, columns), dtype=np.float32))
 
 
+@part
+def cell_of(points: F64, k: int, cells: tuple[float, ...]) -> tuple[int, int]:
+    """Return the row and column of a point's cell, which may lie off the map."""
+    cell_range, cell_azimuth, azimuth_max = cells
+    azimuth = math.atan2(points[k, PX], points[k, PY])
+    return math.floor(points[k, PG] / cell_range), math.floor((azimuth + azimuth_max) / cell_azimuth)
+
+
 @kernel
-def _look_up(occupancy: F32, row: F64, column: F64) -> F64:
+def _look_up(occupancy: F32, points: F64, cells: tuple[float, ...]) -> F64:
     rows, columns = occupancy.shape
-    out = np.zeros(len(row))
-    for k in range(len(row)):
-        i, j = int(row[k]), int(column[k])
+    out = np.zeros(len(points))
+    for k in range(len(points)):
+        i, j = cell_of(points, k, cells)
         if i < 0 or j < 0 or i >= rows or j >= columns:
             continue
         best = 0.0
@@ -71,7 +79,7 @@ def _look_up(occupancy: F32, row: F64, column: F64) -> F64:
 
 
 @kernel
-def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, free: Bool,
+def _learn(occupancy: F32, points: F64, standing_mps: float, free: Bool, cells: tuple[float, ...],
            lone_range_m: float, lone_across_m: float, gain: float, loss: float) -> F32:  # fmt: skip
     rows, columns = occupancy.shape
     out = np.empty_like(occupancy)
@@ -80,7 +88,10 @@ def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, f
         for j in range(columns):
             left = occupancy[i, j] * keep
             out[i, j] = left if left > nothing else np.float32(0.0)
-    n = len(row)
+    n = len(points)
+    standing = np.empty(n, np.bool_)
+    for k in range(n):
+        standing[k] = abs(points[k, PV]) < standing_mps  # not where it is unknown
     for k in range(n):
         if not (standing[k] and free[k]):
             continue
@@ -92,7 +103,7 @@ def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, f
                 across = math.hypot(points[m, PX] - points[k, PX], points[m, PY] - points[k, PY])
                 if across < math.hypot(lone_across_m, lone_range_m):
                     company += 1
-        i, j = int(row[k]), int(column[k])
+        i, j = cell_of(points, k, cells)
         if company > 1 or i < 0 or j < 0 or i >= rows or j >= columns:
             continue
         for a in range(max(i - 1, 0), min(i + 2, rows)):
@@ -102,37 +113,24 @@ def _learn(occupancy: F32, row: F64, column: F64, points: F64, standing: Bool, f
     return out
 
 
-def _cells(points: F64, parameters: ClutterParameters) -> tuple[F64, F64]:
-    row = np.floor(points[:, PG] / parameters.cell_range_m)
-    azimuth = np.arctan2(points[:, PX], points[:, PY])
-    column = np.floor((azimuth + parameters.azimuth_max_rad) / parameters.cell_azimuth_rad)
-    return row, column
+def _cells(p: ClutterParameters) -> tuple[float, ...]:
+    return p.cell_range_m, p.cell_azimuth_rad, p.azimuth_max_rad
 
 
 def occupancy_at(clutter: ClutterMap, points: F64, parameters: ClutterParameters) -> F64:
     """Return the largest occupancy (N,) in the 3 x 3 cells around each point (N, POINT_COLUMNS)."""
-    return np.asarray(_look_up(clutter.occupancy, *_cells(points, parameters)))
+    return _look_up(clutter.occupancy, points, _cells(parameters))
 
 
 def learn(clutter: ClutterMap, points: F64, free: Bool, parameters: ClutterParameters) -> ClutterMap:
     """Return the map after one more frame; `free` (N,) marks points that no vehicle claims."""
-    standing = np.abs(np.nan_to_num(points[:, PV], nan=np.inf)) < parameters.standing_mps
-    row, column = _cells(points, parameters)
     p = parameters
     return ClutterMap(
         _learn(
-            clutter.occupancy,
-            row,
-            column,
-            points,
-            standing,
-            free,
-            p.lone_range_m,
-            p.lone_across_m,
-            1.0 / p.learn_frames,
-            1.0 / p.forget_frames,
+            clutter.occupancy, points, p.standing_mps, free, _cells(p), p.lone_range_m, p.lone_across_m,
+            1.0 / p.learn_frames, 1.0 / p.forget_frames,
         )
-    )
+    )  # fmt: skip
 
 
 def stands_between(

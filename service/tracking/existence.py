@@ -8,7 +8,7 @@ association is added to them. The evidence of one frame is bounded, because rada
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -151,11 +151,15 @@ def remember(
         rate, points, echo, p.hit_evidence, p.hit_base, p.hit_per_point, p.log_odds_max, p.memory_frames,
         p.shadowed_miss, p.standing_miss, p.standing_mps,
     )  # fmt: skip
-    return replace(
-        tracks, log_odds=log_odds, hits=hits, empty=empty, hit_us=hit_us, detect_rate=rate,
+    return tracks.but(
+        log_odds=log_odds,
+        hits=hits,
+        empty=empty,
+        hit_us=hit_us,
+        detect_rate=rate,
         points_per_hit=points,
         echo_db=echo,
-    )  # fmt: skip
+    )
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,9 +72,7 @@ def learn(tracks: Tracks, measured: F64, hit: Bool, across_std_rad: float, p: Ex
     )  # fmt: skip
     settled = (tracks.hits > p.trust_heading_hits) | tracks.standing
     _along_only(mean, cov, heading, settled, p.sideways_std_mps, p.sideways_young_mps, p.sideways_share)
-    return replace(
-        tracks, mean=mean, cov=cov, heading_rad=heading, length_m=length, width_m=width, extent_m=ring
-    )
+    return tracks.but(mean=mean, cov=cov, heading_rad=heading, length_m=length, width_m=width, extent_m=ring)
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
             length[i] = min(hi - lo, p.length_max_m)
             mean[i, 0] += 0.5 * (lo + hi) * s
             mean[i, 3] += 0.5 * (lo + hi) * c
-    return replace(tracks, mean=mean, length_m=length), drop
+    return tracks.but(mean=mean, length_m=length), drop
 
 
 @kernel

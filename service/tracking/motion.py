@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -62,6 +63,7 @@ def _move(F: F64, mean: F64, cov: F64, new_mean: F64, new_cov: F64) -> None:
                 new_cov[t, i, j] = new_cov[t, j, i] = value
 
 
+@lru_cache(maxsize=64)  # frames come at one rate, give or take the grain of the sensor's clock
 def constant_acceleration(dt_s: float, accel_std_mps2: float, tau_s: float | None = None) -> Motion:
     """Return the constant-acceleration step, damped with time constant `tau_s` (None: undamped).
 

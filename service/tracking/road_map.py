@@ -52,7 +52,7 @@ def cell_of(x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[I64, I64, Bool]:
     j = np.floor(y_m / p.cell_y_m).astype(np.int64)
     n_x, n_y = int(2 * p.reach_x_m / p.cell_x_m), int(p.reach_y_m / p.cell_y_m)
     inside = (i >= 0) & (j >= 0) & (i < n_x) & (j < n_y)
-    return np.clip(i, 0, n_x - 1), np.clip(j, 0, n_y - 1), inside
+    return np.minimum(np.maximum(i, 0), n_x - 1), np.minimum(np.maximum(j, 0), n_y - 1), inside
 
 
 def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: RoadMapParameters) -> RoadMap:

@@ -18,15 +18,19 @@ from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
 from service.tracking.filters.base import Filter, FilterState
 from service.tracking.filters.registry import make_filter
+from service.tracking.kernel import kernel
 from service.tracking.merging import merge
-from service.tracking.model import F64, I64, Bool, Frame, StepReport, TrackEstimates, TrackStatus
+from service.tracking.model import F32, F64, I64, U8, Bool, Frame, StepReport, TrackEstimates, TrackStatus
 from service.tracking.parameters import TrackerParameters
 from service.tracking.points import point_array
 from service.tracking.starting import find_births, start
 from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks
 
+_TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
+_NOBODY = np.zeros(1, dtype=np.bool_)  # confirmed is not the owner -1
 __all__ = ["TrackerState", "coast", "initial_state", "step"]
 
+SIZED_HITS = 8  # hits from which length and width are told
 MAX_STEP_S = 2.0  # a longer gap is predicted as if it were this long: every track has ended by then
 
 
@@ -50,30 +54,34 @@ def step(
     state = _with_filter(state, bank)
     points = point_array(frame, p.sensor)
     usable, standing, no_birth = _sort_points(state, points, p)
-    points, standing, no_birth = points[usable], standing[usable], no_birth[usable]
+    if not usable.all():
+        points, standing, no_birth = points[usable], standing[usable], no_birth[usable]
     window = _slide(state, points, standing, frame.time_us, p)
     label = _cluster(window, frame.time_us, p)
     new = len(window.time_us) - len(points)
 
     tracks, assignment = _track(state, bank, points, label[new:], frame.time_us, p)
     owned = assignment.owner >= 0
-    sure = owned & np.append(tracks.confirmed, False)[assignment.owner]
-    window = replace(window, owned=np.concatenate([window.owned[:new], owned]))
-    free = ~window.owned & np.concatenate([np.ones(new, dtype=np.bool_), ~no_birth])
-    state = replace(state, window=window, tracks=tracks)
-    state, ended = lifecycle.live(state, assignment, frame.time_us, p)
-    tracks, drop = merge(state.tracks, p.merging)
-    state = replace(state, tracks=tracks.take(~drop) if drop.any() else tracks)
+    sure = np.concatenate((tracks.confirmed, _NOBODY))[assignment.owner]
+    window = Window(
+        window.points, window.time_us, np.concatenate((window.owned[:new], owned)), window.standing
+    )
+    free = ~window.owned
+    free[new:] &= ~no_birth
+    tracks, reference, ended = lifecycle.live(state, tracks, assignment, frame.time_us, p)
+    tracks, drop = merge(tracks, p.merging)
+    merged = int(np.count_nonzero(drop))
+    state = replace(
+        state, tracks=tracks.take(~drop) if merged else tracks, window=window, echo_reference_db=reference
+    )
     born = find_births(state, label, free, points, frame.time_us, p)
-    tracks = start(state, bank, born, frame.time_us, p)
-    seen_min = min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9)))
     state = replace(
         state,
-        tracks=tracks,
+        tracks=start(state, bank, born, frame.time_us, p),
         next_number=state.next_number + len(born),
         frames=state.frames + 1,
         time_us=frame.time_us,
-        range_seen_min_m=seen_min,
+        range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
         clutter=clutter_map.learn(state.clutter, points, ~sure, p.clutter),
         standing_window=_slide_standing(state, points, standing & ~owned & ~no_birth, frame.time_us, p),
         frame_times_us=_recent_times(state, frame.time_us, p),
@@ -81,13 +89,13 @@ def step(
     state = _teach_road(state, p)
     report = StepReport(
         points=len(frame),
-        points_static=int((~usable).sum()),
+        points_static=len(frame) - len(points),
         clusters=int(label[new:].max(initial=-1)) + 1,
-        tentative=int((tracks.status == TrackStatus.TENTATIVE).sum()),
+        tentative=int(np.count_nonzero(state.tracks.status == _TENTATIVE)),
         components=assignment.components,
         approximated=assignment.approximated,
         born=len(born),
-        deleted=ended + int(drop.sum()),
+        deleted=ended + merged,
     )
     return state, estimates(state.tracks), report
 
@@ -110,19 +118,40 @@ def coast(
 
 def estimates(tracks: Tracks) -> TrackEstimates:
     """Return the confirmed and coasting tracks as they are reported."""
-    t = tracks.take(tracks.confirmed)
-    f = np.float32
-    known = t.hits >= 8
-    return TrackEstimates(
-        number=t.number, x_m=t.x_m.astype(f), y_m=t.y_m.astype(f), vx_mps=t.mean[:, 1].astype(f),
-        vy_mps=t.mean[:, 4].astype(f), std_x_m=np.sqrt(t.cov[:, 0, 0]).astype(f),
-        std_y_m=np.sqrt(t.cov[:, 3, 3]).astype(f), cov_xy_m2=t.cov[:, 0, 3].astype(f),
-        heading_rad=t.heading_rad.astype(f), length_m=np.where(known, t.length_m, np.nan).astype(f),
-        width_m=np.where(known, t.width_m, np.nan).astype(f),
-        existence=existence.probability(t.log_odds).astype(f), status=t.status,
-        lane=np.zeros(len(t), dtype=np.uint8), motion=np.zeros(len(t), dtype=np.uint8),
-        hits=t.hits, born_us=t.born_us,
+    t = tracks
+    index, columns = _listed(
+        t.mean, t.cov, t.heading_rad, t.length_m, t.width_m, t.log_odds, t.status, t.hits, SIZED_HITS
     )  # fmt: skip
+    x, y, vx, vy, std_x, std_y, cov_xy, heading, length, width, exists = columns
+    return TrackEstimates(
+        number=t.number[index], x_m=x, y_m=y, vx_mps=vx, vy_mps=vy, std_x_m=std_x, std_y_m=std_y,
+        cov_xy_m2=cov_xy, heading_rad=heading, length_m=length, width_m=width, existence=exists,
+        status=t.status[index], lane=np.zeros(len(index), dtype=np.uint8),
+        motion=np.zeros(len(index), dtype=np.uint8), hits=t.hits[index],
+        born_us=t.born_us[index],
+    )  # fmt: skip
+
+
+@kernel
+def _listed(
+    mean: F64, cov: F64, heading: F64, length: F64, width: F64, log_odds: F64, status: U8, hits: I64,
+    sized: int,
+) -> tuple[I64, F32]:  # fmt: skip
+    """Return the confirmed tracks (C,) and a row of (11, C) for each float of `TrackEstimates`."""
+    index, count = np.empty(len(status), np.int64), 0
+    for i in range(len(status)):
+        if status[i] != _TENTATIVE:
+            index[count] = i
+            count += 1
+    out = np.empty((11, count), np.float32)
+    for k in range(count):
+        i = index[k]
+        out[0, k], out[1, k], out[2, k], out[3, k] = mean[i, 0], mean[i, 3], mean[i, 1], mean[i, 4]
+        out[4, k], out[5, k], out[6, k] = math.sqrt(cov[i, 0, 0]), math.sqrt(cov[i, 3, 3]), cov[i, 0, 3]
+        out[7, k] = heading[i]
+        out[8, k], out[9, k] = (length[i], width[i]) if hits[i] >= sized else (np.nan, np.nan)
+        out[10, k] = 1.0 / (1.0 + math.exp(-log_odds[i]))
+    return index[:count], out
 
 
 # ---------------------------------------------------------------- before association
@@ -149,7 +178,7 @@ def _dt_s(state: TrackerState, time_us: int) -> float:
 
 def _sort_points(state: TrackerState, points: F64, p: TrackerParameters) -> tuple[Bool, Bool, Bool]:
     """Return which points (N,) are usable, which stand, and which may start nothing."""
-    speed = np.abs(np.nan_to_num(points[:, PV], nan=np.inf))
+    speed = np.abs(points[:, PV])  # not slow where it is unknown: a comparison with NaN is false
     occupancy = clutter_map.occupancy_at(state.clutter, points, p.clutter)
     standing = speed < p.clutter.standing_mps
     usable = ~(standing & (occupancy > p.clutter.ignore_occupancy))
@@ -162,13 +191,13 @@ def _slide(state: TrackerState, points: F64, standing: Bool, time_us: int, p: Tr
     times = state.frame_times_us
     back = p.clustering.window_frames - 1
     oldest = times[-back] if 0 < back <= len(times) else (times[0] if times and back else time_us)
-    keep = state.window.time_us >= oldest
     old = state.window
+    first = int(np.searchsorted(old.time_us, oldest))  # oldest first
     return Window(
-        np.concatenate([old.points[keep], points]),
-        np.concatenate([old.time_us[keep], np.full(len(points), time_us)]),
-        np.concatenate([old.owned[keep], np.zeros(len(points), dtype=np.bool_)]),
-        np.concatenate([old.standing[keep], standing]),
+        np.concatenate((old.points[first:], points)),
+        np.concatenate((old.time_us[first:], np.full(len(points), time_us))),
+        np.concatenate((old.owned[first:], np.zeros(len(points), dtype=np.bool_))),
+        np.concatenate((old.standing[first:], standing)),
     )
 
 
@@ -202,7 +231,7 @@ def _track(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
     )
     after = bank.update(prediction, a.z, a.R, a.beta, a.miss)
-    tracks = replace(tracks, mean=after.mean, cov=after.cov, memory=after.memory)
+    tracks = tracks.but(mean=after.mean, cov=after.cov, memory=after.memory)
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
     return extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent), a
 
@@ -213,15 +242,26 @@ def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
     The variances of position and velocity grow with every empty frame, so that a braking vehicle is met
     again.
     """
-    late = (tracks.empty >= p.boxes.widen_after) & (tracks.speed_mps > 2.0)
-    late &= tracks.empty > 2.0 / np.maximum(tracks.detect_rate, 0.1)
-    if not late.any():
-        return noise
-    out = np.broadcast_to(noise, (len(tracks), 6, 6)).copy()
-    for axis in (0, 3):
-        out[late, axis, axis] += p.boxes.widen_position_m2
-        out[late, axis + 1, axis + 1] += p.boxes.widen_velocity_m2ps2
+    out = np.empty((len(tracks), *noise.shape[-2:]))
+    out[:] = noise
+    _widen(
+        out, tracks.mean, tracks.empty, tracks.detect_rate, p.boxes.widen_after,
+        p.boxes.widen_position_m2, p.boxes.widen_velocity_m2ps2,
+    )  # fmt: skip
     return out
+
+
+@kernel
+def _widen(
+    noise: F64, mean: F64, empty: I64, detect_rate: F64, after: int, position_m2: float, velocity_m2ps2: float
+) -> None:
+    for i in range(len(mean)):
+        if empty[i] < after or empty[i] <= 2.0 / max(detect_rate[i], 0.1):
+            continue
+        if math.hypot(mean[i, 1], mean[i, 4]) > 2.0:
+            for axis in (0, 3):
+                noise[i, axis, axis] += position_m2
+                noise[i, axis + 1, axis + 1] += velocity_m2ps2
 
 
 # ---------------------------------------------------------------- memory
@@ -236,12 +276,13 @@ def _slide_standing(
     state: TrackerState, points: F64, which: Bool, time_us: int, p: TrackerParameters
 ) -> Window:
     w = state.standing_window
-    keep = w.time_us > time_us - round(p.birth.standing_window_s * 1e6)
-    n = int(which.sum())
-    flags = np.zeros(int(keep.sum()) + n, dtype=np.bool_)
+    oldest_us = time_us - round(p.birth.standing_window_s * 1e6)
+    first = int(np.searchsorted(w.time_us, oldest_us, side="right"))
+    new = points[which]
+    flags = np.zeros(len(w.time_us) - first + len(new), dtype=np.bool_)
     return Window(
-        np.concatenate([w.points[keep], points[which]]),
-        np.concatenate([w.time_us[keep], np.full(n, time_us)]),
+        np.concatenate((w.points[first:], new)),
+        np.concatenate((w.time_us[first:], np.full(len(new), time_us))),
         flags,
         flags,
     )
@@ -254,11 +295,7 @@ def _teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:
     t = state.tracks
     i, j, inside = road_map.cell_of(t.x_m, t.y_m, p.road)
     cell = np.where(inside, i * 100_000 + j, -1)
-    teach = (
-        (t.status == TrackStatus.CONFIRMED)
-        & (t.hits >= p.road.learn_hits)
-        & (t.speed_mps > p.road.learn_speed_mps)
-    )
+    teach = (t.status == _CONFIRMED) & (t.hits >= p.road.learn_hits) & (t.speed_mps > p.road.learn_speed_mps)
     teach &= (cell != t.map_cell) & inside
     if not teach.any():
         return state

@@ -1,0 +1,147 @@
+"""The kernels of one step around association and filter, against numpy written from their definitions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from service.tracking import clutter as clutter_map
+from service.tracking import lifecycle, points, starting, tracker
+from service.tracking.boxes import PECHO, PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
+from service.tracking.clutter import ClutterParameters
+from service.tracking.geometry import plan_points
+from service.tracking.model import Frame, TrackStatus
+from service.tracking.parameters import SensorModel, TrackerParameters
+from service.tracking.state import Tracks, no_tracks
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(12)
+
+
+def some_tracks(rng, count=40):
+    spread = rng.normal(0, 0.5, (count, 6, 6))
+    mean = np.zeros((count, 6))
+    mean[:, 0], mean[:, 3] = rng.uniform(-60, 60, count), rng.uniform(5, 160, count)
+    mean[:, [1, 4]] = rng.normal(0, 8, (count, 2))
+    empty = no_tracks(25)
+    columns = (getattr(empty, field.name) for field in dataclasses.fields(empty))
+    blank = Tracks(*(np.zeros((count, *column.shape[1:]), column.dtype) for column in columns))
+    return blank.but(
+        number=np.arange(count), mean=mean, cov=spread @ spread.swapaxes(1, 2) + np.eye(6),
+        heading_rad=rng.uniform(-np.pi, np.pi, count), length_m=rng.uniform(3, 18, count),
+        width_m=rng.uniform(0.9, 2.5, count), log_odds=rng.normal(0, 3, count),
+        status=rng.integers(0, 3, count).astype(np.uint8), hits=rng.integers(1, 60, count),
+        empty=rng.integers(0, 6, count), detect_rate=rng.uniform(0, 1, count),
+        echo_db=rng.normal(20, 5, count),
+    )  # fmt: skip
+
+
+def some_frame(rng, count=80):
+    snr = np.where(rng.random(count) < 0.1, np.nan, rng.uniform(8, 30, count))
+    columns = (rng.uniform(0.1, 170, count), rng.uniform(-3.2, 3.2, count), rng.normal(0, 20, count), snr)
+    return Frame("radar-1", 0, 1, None, *(column.astype(np.float32) for column in columns))
+
+
+def test_points_are_those_of_the_geometry(rng):
+    sensor = SensorModel(azimuth_offset_rad=0.3, mount_height_m=7.5)
+    frame = some_frame(rng)
+    plan = plan_points(frame, sensor)
+
+    table = points.point_array(frame, sensor)
+
+    expected = (
+        (PX, plan.x_m), (PY, plan.y_m), (PG, plan.range_m), (PV, plan.radial_velocity_mps),
+        (PVAR_R, plan.range_std_m**2), (PVAR_AZ, plan.azimuth_std_rad**2), (PWEIGHT, plan.weight),
+        (PECHO, 20 * np.log10(plan.weight) + 40 * np.log10(plan.range_m / 100.0)),
+    )  # fmt: skip
+    for column, values in expected:
+        np.testing.assert_allclose(table[:, column], values, rtol=1e-12, atol=1e-12)
+
+
+def test_estimates_list_the_confirmed_and_hide_the_size_of_the_young(rng):
+    t = some_tracks(rng)
+    sure = t.status != TrackStatus.TENTATIVE
+
+    e = tracker.estimates(t)
+
+    np.testing.assert_array_equal(e.number, t.number[sure])
+    np.testing.assert_array_equal(e.hits, t.hits[sure])
+    np.testing.assert_array_equal(e.x_m, t.x_m[sure].astype(np.float32))
+    np.testing.assert_array_equal(e.vy_mps, t.mean[sure, 4].astype(np.float32))
+    np.testing.assert_array_equal(e.std_y_m, np.sqrt(t.cov[sure, 3, 3]).astype(np.float32))
+    np.testing.assert_array_equal(e.cov_xy_m2, t.cov[sure, 0, 3].astype(np.float32))
+    np.testing.assert_array_equal(np.isnan(e.length_m), t.hits[sure] < 8)
+    np.testing.assert_allclose(e.existence, 1 / (1 + np.exp(-t.log_odds[sure])), rtol=1e-6)  # float32
+
+
+def test_places_are_covered_by_widened_boxes_and_near_centres(rng):
+    t = some_tracks(rng)
+    x, y = rng.uniform(-60, 60, 300), rng.uniform(5, 160, 300)
+    dx, dy = x[:, None] - t.x_m, y[:, None] - t.y_m
+    s, c = np.sin(t.heading_rad), np.cos(t.heading_rad)
+    u, w = np.abs(s * dx + c * dy), np.abs(c * dx - s * dy)
+    inside = (u < t.length_m / 2 + 0.7) & (w < t.width_m / 2 + 0.3) | (np.hypot(dx, dy) < 2.0)
+
+    covered = starting._covered(x, y, t.mean, t.heading_rad, t.length_m, t.width_m, (0.7, 0.3, 2.0))
+
+    np.testing.assert_array_equal(covered, inside.any(axis=1))
+    assert 10 < covered.sum() < 250
+
+
+def test_only_the_noise_of_moving_tracks_that_stay_empty_grows(rng):
+    t, p = some_tracks(rng), TrackerParameters()
+    late = (t.empty >= p.boxes.widen_after) & (t.speed_mps > 2.0)
+    late &= t.empty > 2.0 / np.maximum(t.detect_rate, 0.1)
+    grown = np.diag([1, 1, 0, 1, 1, 0]) * np.array([0.06, 0.5, 0.0, 0.06, 0.5, 0.0])
+
+    noise = tracker._widened(np.eye(6), t, p)
+
+    np.testing.assert_allclose(noise, np.eye(6) + late[:, None, None] * grown)
+    assert 0 < late.sum() < len(t)
+
+
+def test_silent_tracks_outside_the_view_have_left_and_the_sure_ones_give_the_echo(rng):
+    t, p = some_tracks(rng), TrackerParameters()
+    g, azimuth = np.hypot(t.x_m, t.y_m), np.abs(np.arctan2(t.x_m, t.y_m))
+    s, margin = p.sensor, p.existence.leave_margin_m
+    outside = (g > s.range_max_m + margin) | (g < s.range_min_m - margin)
+    outside |= (azimuth - s.azimuth_max_rad) * g > margin
+    sure = (t.status == TrackStatus.CONFIRMED) & (t.hits > p.existence.settled_hits) & (t.speed_mps > 3.0)
+
+    np.testing.assert_array_equal(lifecycle._left_view(t, p), outside & (t.empty > 0))
+    assert lifecycle._echo_reference(t, 0.0, p) == pytest.approx(t.echo_db[sure].mean())
+    assert lifecycle._echo_reference(t.take(~sure), 7.0, p) == 7.0
+
+
+def test_the_map_learns_lone_standing_points_and_forgets_without_subnormal_numbers(rng):
+    p = ClutterParameters()
+    table = np.zeros((3, 8))
+    table[:, PX], table[:, PY], table[:, PV] = [3.0, -20.0, 8.0], [60.0, 90.0, 40.0], [0.0, 0.1, 5.0]
+    table[:, PG] = np.hypot(table[:, PX], table[:, PY])
+    clutter, everywhere = clutter_map.empty_map(p), np.ones(3, dtype=np.bool_)
+    for _ in range(100):
+        clutter = clutter_map.learn(clutter, table, everywhere, p)
+    occupancy = clutter_map.occupancy_at(clutter, table, p)
+    faint = clutter_map.ClutterMap(np.full_like(clutter.occupancy, 1e-20))
+
+    forgotten = clutter_map.learn(faint, table[:0], everywhere[:0], p)
+
+    assert (occupancy[:2] > 0.85).all()
+    assert occupancy[2] == 0.0
+    assert not forgotten.occupancy.any()
+
+
+def test_columns_of_tracks_are_exchanged_taken_and_joined(rng):
+    t = some_tracks(rng)
+
+    other = t.but(hits=t.hits + 1)
+    some = t.take(t.hits > 30)
+
+    assert (other.hits == t.hits + 1).all()
+    assert other.mean is t.mean
+    np.testing.assert_array_equal(some.number, t.number[t.hits > 30])
+    np.testing.assert_array_equal(some.join(t).number, np.concatenate([some.number, t.number]))
