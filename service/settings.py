@@ -5,12 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import ByteSize, Field
+import limits
+from pydantic import AfterValidator, ByteSize, Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 PositiveBytes = Annotated[ByteSize, Field(gt=0)]
 PositiveSeconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Days = Annotated[int, Field(ge=1, le=36_500)]
+
+
+def _rate(text: str | None) -> str | None:
+    if text is None or text == "none":
+        return None
+    try:
+        limits.parse(text)
+    except ValueError:
+        raise ValueError(f'want a rate such as "200/second" or "none", got {text!r}') from None
+    return text
+
+
+Rate = Annotated[str | None, AfterValidator(_rate)]
 
 
 class Settings(BaseSettings):
@@ -27,6 +41,12 @@ class Settings(BaseSettings):
     allowed_hosts: tuple[str, ...] = ()
     body_limit_bytes: PositiveBytes = ByteSize(16 * 2**20)  # of one request, after decompression
     clock_ahead_limit_s: PositiveSeconds = 60.0  # frames further ahead of the host's clock are refused
+
+    # How often one key may ask for what needs a scope: "200/second", "10 per minute", or "none" for no limit.
+    rate_limit_ingest: Rate = "5000/second"
+    rate_limit_read: Rate = "500/second"
+    rate_limit_admin: Rate = "300/minute"
+    rate_limit_guesses: Rate = "30/minute"  # keys that are not valid, by address
 
     log_limit_bytes: PositiveBytes = ByteSize(2 * 2**30)  # of all sensors together; the oldest segments go
     log_segment_bytes: PositiveBytes = ByteSize(256 * 2**20)

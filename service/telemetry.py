@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import sys
+import traceback
+from pathlib import Path
 from typing import Literal
 
 import structlog
@@ -14,6 +16,9 @@ from service import __version__
 _LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STAGE_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP_BUCKETS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5)
+
+ERROR_CHARACTERS = 500  # of a failure's message
+PLACES = 6  # innermost calls that are named
 
 
 class Telemetry:
@@ -93,6 +98,17 @@ class Telemetry:
         return generate_latest(self.registry)
 
 
+def in_short(_logger: object, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
+    """Say in two fields what failed and where; a trace, with the values in it, is no part of the log."""
+    found = event.pop("exc_info", None)
+    error = sys.exc_info()[1] if found is True else found[1] if isinstance(found, tuple) else found
+    if isinstance(error, BaseException):
+        event["error"] = f"{type(error).__name__}: {error}"[:ERROR_CHARACTERS]
+        calls = traceback.extract_tb(error.__traceback__)[-PLACES:]
+        event["where"] = [f"{Path(call.filename).name}:{call.lineno} {call.name}" for call in reversed(calls)]
+    return event
+
+
 def _print_logger(*_: object) -> structlog.PrintLogger:
     """Return a logger on what is standard error now: it may be another than at set-up."""
     return structlog.PrintLogger(sys.stderr)
@@ -110,9 +126,11 @@ def set_up_logging(
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             *(
-                [structlog.dev.ConsoleRenderer()]
+                [structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback)]
+                if readable and level == "debug"
+                else [in_short, structlog.dev.ConsoleRenderer()]
                 if readable
-                else [structlog.processors.dict_tracebacks, structlog.processors.JSONRenderer()]
+                else [in_short, structlog.processors.JSONRenderer()]
             ),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(_LEVELS[level]),

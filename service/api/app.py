@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 
 from service import __version__
 from service.api import (
+    audit,
     dashboard,
     events,
     frames,
@@ -28,7 +29,9 @@ from service.api import (
 from service.api.bodies import BodyRoom
 from service.api.dependencies import Services
 from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
+from service.api.rates import RateLimits
 from service.api.security import Keyring, is_loopback
+from service.api.writes import Writes
 from service.pipeline.host import EmbeddedHost
 from service.settings import Settings
 
@@ -66,13 +69,15 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         Keyring(engine, local=local or insecure),
         asyncio.Event(),
         BodyRoom(settings.body_limit_bytes),
+        RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
     )
-    for module in (frames, live, tracks, sensors, events, keys, health, reference, dashboard):
+    for module in (frames, live, tracks, sensors, events, keys, audit, health, reference, dashboard):
         app.include_router(module.router)
     app.router.default = dashboard.Dashboard()
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way
     problems.install(app)
+    app.add_middleware(Writes)
     app.add_middleware(
         Gate,
         allowed_hosts=_allowed_hosts(settings, local=local),

@@ -19,7 +19,8 @@ HEADERS = (
     (
         b"content-security-policy",
         (
-            b"default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
+            b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+            b"connect-src 'self'; font-src 'self'; manifest-src 'self'; base-uri 'none'; "
             b"form-action 'self'; frame-ancestors 'none'"
         ),
     ),

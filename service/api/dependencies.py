@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Engine
 
 from service.api.bodies import BodyRoom
 from service.api.problems import HttpProblem
+from service.api.rates import RateLimits
 from service.api.security import SESSION_COOKIE, Caller, Keyring
 from service.errors import InvalidInput
 from service.formats.rfc3339 import parse_time_us
@@ -34,6 +35,7 @@ class Services:
     keyring: Keyring
     closing: asyncio.Event  # set when the server begins to stop: replies that wait end
     room: BodyRoom  # for bodies of frames
+    rates: RateLimits
     batches: CapacityLimiter  # batches that are parsed at once: each may take ten times its size in memory
 
 
@@ -62,17 +64,33 @@ async def identify(request: Request, services: ServicesDep) -> Caller:
     secret = _presented_key(request)
     session = request.cookies.get(SESSION_COOKIE)
     caller = services.keyring.recall(secret, session)
-    if caller is None:
-        caller = await to_thread.run_sync(services.keyring.identify, secret, session)
-    return caller
+    return caller if caller is not None else await _look_up(request, services, secret, session)
+
+
+async def _look_up(request: Request, services: Services, secret: str | None, session: str | None) -> Caller:
+    try:
+        return await to_thread.run_sync(services.keyring.identify, secret, session)
+    except HttpProblem:
+        if secret is not None:
+            services.rates.count_guess(request.client.host if request.client is not None else "")
+        raise
+
+
+def _let_pass(
+    request: Request, services: Services, caller: Caller, scope: Scope, sensor_id: str | None = None
+) -> None:
+    """Refuse a caller without the scope (NotAllowed), or one that asks too often (HttpProblem 429)."""
+    caller.require(scope, sensor_id)
+    if caller.key is not None:
+        request.state.rate_headers = services.rates.count(scope, caller.key.key_id)
 
 
 CallerDep = Annotated[Caller, Depends(identify)]
 
 
-def _needs(scope: Scope) -> Callable[[Caller], Awaitable[Caller]]:
-    async def allowed(caller: CallerDep) -> Caller:
-        caller.require(scope)
+def _needs(scope: Scope) -> Callable[[Request, Services, Caller], Awaitable[Caller]]:
+    async def allowed(request: Request, services: ServicesDep, caller: CallerDep) -> Caller:
+        _let_pass(request, services, caller, scope)
         return caller
 
     return allowed
@@ -92,7 +110,7 @@ async def admit(request: Request, scope: Scope, sensor_id: str | None = None) ->
     """
     services = services_of(request)
     caller = await identify(request, services)
-    caller.require(scope, sensor_id)
+    _let_pass(request, services, caller, scope, sensor_id)
     return services
 
 

@@ -185,7 +185,15 @@ EVENT: Final = {
 }
 
 KEY: Final = {"name": "gantry uplink", "scopes": ["ingest"], "sensor_ids": ["radar-1"]}
-KEY_REPLY: Final = KEY | {"key_id": "5b1f0c2a9d3e4f60", "created": TIME, "last_used": None}
+KEY_REPLY: Final = KEY | {"key_id": "5b1f0c2a9d3e4f60", "created": TIME, "last_used": None, "rotated": None}
+ACT: Final = {
+    "number": 12,
+    "time": TIME,
+    "actor": "5b1f0c2a9d3e4f60",
+    "action": "sensor.archived",
+    "target": "radar-1",
+    "detail": {},
+}
 SESSION: Final = {"open": False, "key_id": "5b1f0c2a9d3e4f60", "scopes": ["read"]}
 
 READY: Final = {
@@ -256,7 +264,10 @@ RESPONSES: Final[dict[str, object]] = {
     "read_track_states": _page(STATE),
     "read_events": _page(EVENT),
     "create_key": KEY_REPLY | {"secret": "Zx3vYkq0bX0mYw1pJ2u3VtQe5rS7aHc9dLfGiKjNoPM"},
+    "rotate_key": KEY_REPLY | {"secret": "b7T1wqJm2KfQx9RzL4vNc8YhUe5sPdAi3GoXtBnMkWE", "rotated": TIME},
     "list_keys": _page(KEY_REPLY),
+    "read_audit": _page(ACT),
+    "purge_sensor": {"sensor_id": "radar-1", "rows": {"tracks": 18204, "track_states": 220115}},
     "read_session": SESSION,
     "open_session": SESSION,
     "live": {"status": "ok"},

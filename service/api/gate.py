@@ -24,6 +24,9 @@ LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
 CLIENT_LEFT = 499  # in the metrics, for requests whose sender hung up; nobody is there to hear it
 
+REPLY_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'"  # pages say their own
+_NONE: dict[str, str] = {}
+
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _METHODS = _SAFE_METHODS | {"POST", "PATCH", "PUT", "DELETE"}
 _BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0)
@@ -87,6 +90,9 @@ class Gate:
                 reply.setdefault("X-Request-ID", request_id)
                 reply.setdefault("X-Content-Type-Options", "nosniff")
                 reply.setdefault("Referrer-Policy", "no-referrer")
+                reply.setdefault("Content-Security-Policy", REPLY_POLICY)
+                for name, value in scope["state"].get("rate_headers", _NONE).items():
+                    reply.setdefault(name, value)
             await send(message)
 
         begun_s = time.perf_counter()

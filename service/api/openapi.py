@@ -48,6 +48,7 @@ _SCHEMES = {
 _REFUSALS = {
     "401": "no valid key",
     "403": "the key lacks the scope or the sensor",
+    "429": "the key asks too often; Retry-After says when to ask again",
     "404": "no such thing",
     "422": "a value is wrong",
     "503": "try again after Retry-After seconds",
@@ -115,6 +116,7 @@ def _add_problems(operation: Json, *, secured: bool, with_path: bool) -> None:
     wanted = {
         "401": secured,
         "403": secured,
+        "429": secured,
         "404": with_path,
         "422": takes_input,
         "503": secured,

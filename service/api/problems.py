@@ -118,6 +118,12 @@ KINDS = {
             "The Host header is none of this server's names; set WAYSIDE_ALLOWED_HOSTS to accept it.",
         ),
         Kind(
+            "too-many-requests",
+            429,
+            "Too many requests",
+            "The key asks more often than it may; Retry-After says when to ask again.",
+        ),
+        Kind(
             "internal", 500, "Internal error", "A fault of the service; the request id finds it in the log."
         ),
         Kind(
@@ -174,10 +180,17 @@ def install(app: FastAPI) -> None:
 
 
 async def _wayside(request: Request, error: Exception) -> Response:
+    if not isinstance(error, WaysideError):
+        raise error
+    return problem_of(request.scope, error)
+
+
+def problem_of(scope: Mapping[str, object], error: WaysideError) -> Response:
+    """Return the reply for an expected error; raises the error itself where no status fits it."""
     headers: dict[str, str] = {}
     errors: Sequence[FieldError] = ()
     if isinstance(error, HttpProblem):
-        return problem_response(request.scope, error.kind, str(error), headers=error.headers)
+        return problem_response(scope, error.kind, str(error), headers=error.headers)
     if isinstance(error, InvalidInput):
         name, errors = "invalid-input", error.errors
     elif isinstance(error, NotFound):
@@ -190,7 +203,7 @@ async def _wayside(request: Request, error: Exception) -> Response:
         name, headers = "unavailable", {"Retry-After": str(math.ceil(error.retry_after_s))}
     else:
         raise error
-    return problem_response(request.scope, KINDS[name], str(error), errors, headers)
+    return problem_response(scope, KINDS[name], str(error), errors, headers)
 
 
 async def _validation(request: Request, error: Exception) -> Response:

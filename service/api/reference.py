@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Iterator
@@ -17,7 +19,8 @@ router = APIRouter()
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}
 pre{background:#f3f5f7;padding:.7rem;overflow:auto;font-size:13px}code{font-size:14px}
 summary{cursor:pointer;padding:.3rem 0}b.m{display:inline-block;width:4.5rem}"""
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'"
+_STYLE_HASH = base64.b64encode(hashlib.sha256(_STYLE.encode()).digest()).decode()
+_POLICY = f"default-src 'none'; style-src 'sha256-{_STYLE_HASH}'; base-uri 'none'; frame-ancestors 'none'"
 
 
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)

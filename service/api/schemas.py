@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Generic, Literal, Self, TypeVar
+from typing import Annotated, Generic, Literal, Self, TypeVar, cast
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 
 from service.formats.rfc3339 import format_time
 from service.formats.sensor import SensorConfig
+from service.storage.audit import Act
 from service.storage.keys import ApiKey, Scope
 from service.storage.sites import Sensor, Site
 
@@ -132,6 +133,7 @@ class KeyReply(BaseModel):
     sensor_ids: list[str] | None
     created: str
     last_used: str | None = Field(description="to the minute")
+    rotated: str | None = Field(description="when it got its present secret; null: at its creation")
 
     @classmethod
     def of(cls, key: ApiKey) -> Self:
@@ -148,6 +150,36 @@ class NewKeyReply(KeyReply):
     def made(cls, key: ApiKey, secret: str) -> Self:
         """Return the reply that shows the secret."""
         return cls(**_key_fields(key), secret=secret)
+
+
+class ActReply(BaseModel):
+    """One administrative act."""
+
+    number: int
+    time: str
+    actor: str = Field(description='id of the key, "command line", or "nobody" where no key is needed')
+    action: str = Field(examples=["key.created"])
+    target: str = Field(description="id of what was changed")
+    detail: dict[str, JsonValue]
+
+    @classmethod
+    def of(cls, act: Act) -> Self:
+        """Return the reply for a stored act."""
+        return cls(
+            number=act.number,
+            time=format_time(act.time_us),
+            actor=act.actor,
+            action=act.action,
+            target=act.target,
+            detail=cast("dict[str, JsonValue]", act.detail),
+        )
+
+
+class PurgeReply(BaseModel):
+    """What was removed for good."""
+
+    sensor_id: str
+    rows: dict[str, int] = Field(description="removed rows by table")
 
 
 class SessionReply(BaseModel):
@@ -226,4 +258,5 @@ def _key_fields(key: ApiKey) -> dict[str, object]:
         "sensor_ids": None if key.sensor_ids is None else sorted(key.sensor_ids),
         "created": format_time(key.created_us),
         "last_used": None if key.last_used_us is None else format_time(key.last_used_us),
+        "rotated": None if key.rotated_us is None else format_time(key.rotated_us),
     }

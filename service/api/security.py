@@ -23,6 +23,7 @@ from sqlalchemy import Engine
 
 from service.api.problems import HttpProblem
 from service.errors import NotAllowed, NotFound, Unavailable
+from service.storage.audit import NOBODY
 from service.storage.database import connection, session_scope
 from service.storage.keys import ApiKey, Scope, find_key, list_keys, note_use, read_key
 
@@ -45,6 +46,11 @@ class Caller:
     by_cookie: bool = False
 
     @property
+    def name(self) -> str:
+        """How the audit log calls the caller: the id of the key."""
+        return NOBODY if self.key is None else self.key.key_id
+
+    @property
     def scopes(self) -> frozenset[Scope]:
         """What the caller may do; `admin` includes the others."""
         if self.key is None or "admin" in self.key.scopes:
@@ -58,6 +64,18 @@ class Caller:
         bound = self.key.sensor_ids if self.key is not None else None
         if scope == "ingest" and sensor_id is not None and bound is not None and sensor_id not in bound:
             raise NotAllowed(f"this key may not send frames for the sensor {sensor_id}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Session:
+    """A dashboard session: whose it is, and since when."""
+
+    key_id: str
+    opened_us: int
+
+    def suits(self, key: ApiKey) -> bool:
+        """Return whether the key still has the secret with which the session was opened."""
+        return key.rotated_us is None or self.opened_us >= key.rotated_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +103,9 @@ class Keyring:
         if secret is not None:
             key = self._recalled(_digest(secret))
             return None if key is None else Caller(key)
-        if session is not None and (key_id := self._session_key_id(session)) is not None:
-            key = self._recalled(key_id.encode())
-            return None if key is None else Caller(key, by_cookie=True)
+        if session is not None and (opened := self._opened(session)) is not None:
+            key = self._recalled(opened.key_id.encode())
+            return None if key is None or not opened.suits(key) else Caller(key, by_cookie=True)
         if self._is_open_by_memory():
             return Caller(None)
         return None
@@ -99,9 +117,9 @@ class Keyring:
             if key is None:
                 raise _unauthenticated("the API key is not valid")
             return Caller(key)
-        if session is not None and (key_id := self._session_key_id(session)) is not None:
-            key = self._look_up(key_id.encode(), lambda: self._read(key_id))
-            if key is not None:
+        if session is not None and (opened := self._opened(session)) is not None:
+            key = self._look_up(opened.key_id.encode(), lambda: self._read(opened.key_id))
+            if key is not None and opened.suits(key):
                 return Caller(key, by_cookie=True)
         if self.is_open():
             return Caller(None)
@@ -125,12 +143,11 @@ class Keyring:
 
     def open_session(self, key: ApiKey) -> str:
         """Return the signed value of a session cookie for this key."""
-        expires_s = self.now_us() // 1_000_000 + SESSION_S
-        payload = f"{key.key_id}.{expires_s}".encode()
+        payload = f"{key.key_id}.{self.now_us()}".encode()
         return f"{_text(payload)}.{_text(self._sign(payload))}"
 
-    def _session_key_id(self, session: str) -> str | None:
-        """Return the key id of a session cookie that we signed and that has not expired."""
+    def _opened(self, session: str) -> _Session | None:
+        """Return what a session cookie says that we signed and that has not expired."""
         payload_text, _, signature_text = session.partition(".")
         try:
             payload, signature = _bytes(payload_text), _bytes(signature_text)
@@ -138,8 +155,9 @@ class Keyring:
             return None
         if not hmac.compare_digest(signature, self._sign(payload)):
             return None
-        key_id, _, expires_s = payload.decode().partition(".")
-        return key_id if self.now_us() < int(expires_s) * 1_000_000 else None
+        key_id, _, opened_us = payload.decode().partition(".")
+        opened = _Session(key_id, int(opened_us))
+        return opened if self.now_us() < opened.opened_us + SESSION_S * 1_000_000 else None
 
     def _sign(self, payload: bytes) -> bytes:
         return hmac.digest(self._signing_key, payload, "sha256")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from typing import Annotated, cast
 
 from fastapi import APIRouter, Body, Query, Request, Response, status
@@ -25,16 +26,20 @@ from service.api.schemas import (
     Identifier,
     JsonObject,
     Page,
+    PurgeReply,
     SensorInput,
     SensorReply,
     SiteInput,
     SitePatch,
     SiteReply,
 )
+from service.api.security import Caller
 from service.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
 from service.formats.sensor import SensorConfig
+from service.storage import purge
 from service.storage import sites as store
-from service.storage.database import session_scope
+from service.storage.audit import note_act
+from service.storage.database import connection, session_scope
 from service.tracking.filters.registry import make_filter
 from service.traffic.parameters import traffic_setup
 
@@ -42,10 +47,11 @@ router = APIRouter(prefix=PREFIX)
 
 
 @router.post("/sites", status_code=status.HTTP_201_CREATED, tags=["sites"])
-def create_site(body: SiteInput, services: ServicesDep, response: Response, _: AdminKey) -> SiteReply:
+def create_site(body: SiteInput, services: ServicesDep, response: Response, caller: AdminKey) -> SiteReply:
     """Register a site."""
     with session_scope(services.engine) as writer:
         site = store.create_site(writer, **body.model_dump(), now_us=_now_us())
+        _note(writer, caller, "site.created", site.site_id, body.model_dump(mode="json"))
     response.headers["Location"] = f"/api/v1/sites/{site.site_id}"
     return SiteReply.of(site)
 
@@ -70,27 +76,32 @@ def read_site(site_id: Identifier, reader: Reader, _: ReadKey) -> SiteReply:
 
 
 @router.patch("/sites/{site_id}", tags=["sites"])
-def change_site(site_id: Identifier, body: SitePatch, services: ServicesDep, _: AdminKey) -> SiteReply:
+def change_site(site_id: Identifier, body: SitePatch, services: ServicesDep, caller: AdminKey) -> SiteReply:
     """Change some fields of a site."""
     changes = cast("store.SiteChanges", body.model_dump(exclude_unset=True))
     with session_scope(services.engine) as writer:
-        return SiteReply.of(store.update_site(writer, site_id, changes, now_us=_now_us()))
+        site = store.update_site(writer, site_id, changes, now_us=_now_us())
+        _note(writer, caller, "site.changed", site_id, body.model_dump(mode="json", exclude_unset=True))
+    return SiteReply.of(site)
 
 
 @router.delete("/sites/{site_id}", status_code=status.HTTP_204_NO_CONTENT, tags=["sites"])
-def archive_site(site_id: Identifier, services: ServicesDep, _: AdminKey) -> None:
+def archive_site(site_id: Identifier, services: ServicesDep, caller: AdminKey) -> None:
     """Take a site without sensors out of use; its id is never given again."""
     with session_scope(services.engine) as writer:
         store.archive_site(writer, site_id, now_us=_now_us())
+        _note(writer, caller, "site.archived", site_id)
 
 
 @router.post("/sensors", status_code=status.HTTP_201_CREATED, tags=["sensors"])
-def create_sensor(body: SensorInput, services: ServicesDep, response: Response, _: AdminKey) -> SensorReply:
+def create_sensor(
+    body: SensorInput, services: ServicesDep, response: Response, caller: AdminKey
+) -> SensorReply:
     """Register a sensor; the content of a site file is accepted as it is."""
     config = _checked(body.config())
     if not services.host.ready:
         raise Unavailable("the service is not ready")
-    sensor = _register(services, body, config)
+    sensor = _register(services, body, config, caller)
     services.host.configure(sensor)
     response.headers["Location"] = f"/api/v1/sensors/{sensor.sensor_id}"
     return SensorReply.of(sensor)
@@ -122,26 +133,43 @@ def change_sensor(
     sensor_id: SensorPath,
     patch: Annotated[JsonObject, Body(media_type="application/merge-patch+json")],
     services: ServicesDep,
-    _: AdminKey,
+    caller: AdminKey,
 ) -> SensorReply:
     """Change a sensor by a JSON merge patch (RFC 7396); the tracker takes it over between two frames."""
     with session_scope(services.engine) as writer:
         sensor = _change(writer, sensor_id, patch)
+        _note(writer, caller, "sensor.changed", sensor_id, patch)
     services.host.configure(sensor)
     return SensorReply.of(sensor)
 
 
 @router.delete("/sensors/{sensor_id}", status_code=status.HTTP_204_NO_CONTENT, tags=["sensors"])
-def archive_sensor(sensor_id: SensorPath, services: ServicesDep, _: AdminKey) -> None:
+def archive_sensor(sensor_id: SensorPath, services: ServicesDep, caller: AdminKey) -> None:
     """Take a sensor out of use: it takes no more frames, what it recorded stays readable."""
     with session_scope(services.engine) as writer:
         store.archive_sensor(writer, sensor_id, now_us=_now_us())
+        _note(writer, caller, "sensor.archived", sensor_id)
     services.host.forget(sensor_id)
 
 
-def _register(services: Services, body: SensorInput, config: SensorConfig) -> store.Sensor:
+@router.post("/sensors/{sensor_id}:purge", tags=["sensors"])
+def purge_sensor(sensor_id: SensorPath, services: ServicesDep, caller: AdminKey) -> PurgeReply:
+    """Remove for good what an archived sensor recorded: frames, tracks, events, all; its id stays taken."""
+    with connection(services.engine) as reader:
+        sensor = store.read_sensor(reader, sensor_id, include_archived=True)
+    if sensor.archived_us is None:
+        raise Conflict(f"sensor {sensor_id} is in use; DELETE it first")
+    services.host.purge(sensor_id)
+    rows = purge.purge_sensor(services.engine, sensor.ordinal)
+    with session_scope(services.engine) as writer:
+        _note(writer, caller, "sensor.purged", sensor_id, {"rows": rows})
+    return PurgeReply(sensor_id=sensor_id, rows=rows)
+
+
+def _register(services: Services, body: SensorInput, config: SensorConfig, caller: Caller) -> store.Sensor:
     """Store a new sensor, or return the one that an earlier try stored before the log refused it."""
     with session_scope(services.engine) as writer:
+        _note(writer, caller, "sensor.created", config.sensor_id, body.model_dump(mode="json"))
         try:
             return store.create_sensor(writer, config, site_id=body.site_id, name=body.name, now_us=_now_us())
         except Conflict:
@@ -152,6 +180,16 @@ def _register(services: Services, body: SensorInput, config: SensorConfig) -> st
             except NotFound:  # archived
                 pass
             raise
+
+
+def _note(
+    writer: Connection,
+    caller: Caller,
+    action: str,
+    target: str,
+    detail: Mapping[str, object] | None = None,
+) -> None:
+    note_act(writer, actor=caller.name, action=action, target=target, detail=detail, now_us=_now_us())
 
 
 def _change(writer: Connection, sensor_id: str, patch: JsonObject) -> store.Sensor:

@@ -1,4 +1,4 @@
-"""`wayside key`: create, list and revoke API keys in the database itself; so can the first one be made."""
+"""`wayside key`: create, list, rotate and revoke API keys in the database itself, the first one too."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from service.cli.output import print_json, print_rows, provenance
 from service.formats.rfc3339 import format_time
 
 if TYPE_CHECKING:
+    from sqlalchemy import Connection
+
     from service.storage.keys import ApiKey
 
-app = typer.Typer(help="Create, list and revoke API keys.", no_args_is_help=True)
+app = typer.Typer(help="Create, list, rotate and revoke API keys.", no_args_is_help=True)
 
 COLUMNS = ("key_id", "name", "scopes", "sensor_ids", "created", "last_used", "revoked")
 
@@ -43,6 +45,7 @@ def create(
         key, secret = create_key(
             connection, name=name, scopes=scope or ["read"], sensor_ids=sensor or None, now_us=now_us()
         )
+        _note(connection, "key.created", key)
     if as_json:
         print_json(provenance() | _record(key) | {"key": secret})
         return
@@ -73,6 +76,29 @@ def list_(
 
 @app.command()
 @one_sentence()
+def rotate(
+    key_id: Annotated[str, typer.Argument(help="As `wayside key list` shows it.")],
+    *,
+    data_dir: options.DataDir = None,
+    database: options.Database = None,
+    as_json: options.Json = False,
+) -> None:
+    """Give a key another secret and print it; a running service forgets the old one within five seconds."""
+    from service.storage.database import session_scope
+    from service.storage.keys import rotate_key
+
+    with session_scope(open_rows(read_settings(data_dir=data_dir, database_url=database))) as connection:
+        key, secret = rotate_key(connection, key_id, now_us=now_us())
+        _note(connection, "key.rotated", key)
+    if as_json:
+        print_json(provenance() | _record(key) | {"key": secret})
+        return
+    typer.echo(secret)
+    say(f"Key {key.key_id} has this secret now. Keep it: it cannot be shown again.")
+
+
+@app.command()
+@one_sentence()
 def revoke(
     key_id: Annotated[str, typer.Argument(help="As `wayside key list` shows it.")],
     *,
@@ -86,10 +112,18 @@ def revoke(
 
     with session_scope(open_rows(read_settings(data_dir=data_dir, database_url=database))) as connection:
         key = revoke_key(connection, key_id, now_us=now_us())
+        _note(connection, "key.revoked", key)
     if as_json:
         print_json(provenance() | _record(key))
     else:
         typer.echo(f"Key {key.key_id} is revoked.")
+
+
+def _note(connection: Connection, action: str, key: ApiKey) -> None:
+    from service.storage.audit import COMMAND_LINE, note_act
+
+    detail = {"name": key.name, "scopes": sorted(key.scopes)}
+    note_act(connection, actor=COMMAND_LINE, action=action, target=key.key_id, detail=detail, now_us=now_us())
 
 
 def _record(key: ApiKey) -> dict[str, object]:

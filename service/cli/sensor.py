@@ -6,7 +6,7 @@ A change of a sensor is a record in its log that only the host may write; so the
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -94,3 +94,26 @@ def remove(
     with Client(url, key) as client:
         client.request("DELETE", f"/sensors/{sensor_id}")
     typer.echo(f"Sensor {sensor_id} is taken out of use.")
+
+
+@app.command()
+@one_sentence()
+def purge(
+    sensor_id: SensorId,
+    *,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    url: options.Url = options.DEFAULT_URL,
+    key: options.Key = None,
+    as_json: options.Json = False,
+) -> None:
+    """Remove for good all that a sensor out of use recorded; its id stays taken."""
+    from service.cli.client import Client
+
+    if not yes:
+        typer.confirm(f"Remove all frames, tracks and counts of {sensor_id} for good?", abort=True, err=True)
+    with Client(url, key) as client:
+        done = client.request("POST", f"/sensors/{sensor_id}:purge")
+    if as_json:
+        print_json(provenance() | done)
+    else:
+        print_facts(f"Removed of {sensor_id}", cast("dict[str, object]", done["rows"]))

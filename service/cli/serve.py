@@ -51,10 +51,12 @@ def serve(
 
 def _create_first_key(engine: Engine) -> None:
     from service.cli.database import now_us
+    from service.storage.audit import COMMAND_LINE, note_act
     from service.storage.database import session_scope
     from service.storage.keys import create_key, list_keys
 
     with session_scope(engine) as connection:
         if not list_keys(connection, limit=1).items:
-            _, secret = create_key(connection, name="first key", scopes=["admin"], now_us=now_us())
+            key, secret = create_key(connection, name="first key", scopes=["admin"], now_us=now_us())
+            note_act(connection, actor=COMMAND_LINE, action="key.created", target=key.key_id, now_us=now_us())
             say(f"The first API key, shown this once: {secret}")

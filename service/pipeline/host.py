@@ -219,6 +219,12 @@ class EmbeddedHost:
             channel.leaving = True
             self._thread.wake()
 
+    def purge(self, sensor_id: str) -> None:
+        """Remove an archived sensor's records from the log; raises Unavailable while they are folded."""
+        if self.live.newest(sensor_id) is not None:
+            raise Unavailable(f"what sensor {sensor_id} recorded is still being stored", 1.0)
+        self._log().purge(sensor_id)
+
     def config(self, sensor_id: str) -> SensorConfig:
         """Return the configuration by which a sensor's frames are decoded; raises NotFound."""
         return self._channel(sensor_id).config

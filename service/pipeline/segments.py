@@ -10,6 +10,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,10 @@ CREATE TABLE IF NOT EXISTS carried (sensor TEXT PRIMARY KEY, position INTEGER NO
 _READ = "SELECT position, body FROM record WHERE sensor = ? AND position > ? ORDER BY position LIMIT ?"
 _FIRST = "SELECT min(position) FROM record WHERE sensor = ?"
 _LAST = "SELECT max(position) FROM record WHERE sensor = ?"
+_PURGE = """
+DELETE FROM record WHERE sensor = ? AND position IN (
+    SELECT position FROM record WHERE sensor = ? ORDER BY position LIMIT ?)"""
+PURGED_RECORDS = 500  # of one transaction
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,14 @@ class Segment:
         """Return up to `limit` bodies of a sensor with positions above `after`, in order."""
         with self._reading:
             return self._reader.execute(_READ, (sensor_id, after, limit)).fetchall()
+
+    def purge(self, sensor_id: str) -> None:
+        """Overwrite a sensor's records with zeros, in small parts so that appending never waits long."""
+        with closing(_connect(self.path)) as connection:
+            connection.execute("PRAGMA secure_delete = ON")
+            while connection.execute(_PURGE, (sensor_id, sensor_id, PURGED_RECORDS)).rowcount > 0:
+                pass
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
 
     def size_bytes(self) -> int:
         """Return what the file and its write-ahead file take on the disk."""

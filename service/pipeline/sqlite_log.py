@@ -262,6 +262,15 @@ class SqliteLog:
         with self._guard:
             self._released[sensor_id] = max(position, self._released.get(sensor_id, 0))
 
+    def purge(self, sensor_id: str) -> None:
+        """Remove a sensor's records for good; its positions are not given again."""
+        with self._guard:
+            segments = [segment for segment in self._segments if sensor_id in segment.extents]
+        for segment in segments:
+            segment.purge(sensor_id)
+            with self._guard:
+                segment.extents.pop(sensor_id, None)
+
     def _drop_released(self) -> None:
         while len(self._segments) > 1 and self._size_bytes() > self._limits.total_bytes - self._segment_bytes:
             oldest = self._segments[0]

@@ -134,6 +134,7 @@ def _open_sqlite(address: URL) -> Engine:
         connect_args={"timeout": BUSY_TIMEOUT_S},
         pool_size=POOL_SIZE,
         max_overflow=POOL_OVERFLOW,
+        hide_parameters=True,  # in errors, which end up in logs
     )
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
@@ -151,6 +152,7 @@ def _open_postgresql(address: URL) -> Engine:
         pool_size=POOL_SIZE,
         max_overflow=POOL_OVERFLOW,
         pool_pre_ping=True,
+        hide_parameters=True,
     )
 
 

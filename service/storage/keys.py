@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 
 from sqlalchemy import Connection, RowMapping, insert, or_, select, update
 
-from service.errors import InvalidInput, NotFound
+from service.errors import Conflict, InvalidInput, NotFound
 from service.storage.page import Page, check_limit, cut, read_cursor
 from service.storage.sites import read_sensor
 from service.storage.tables import api_keys
@@ -39,6 +39,7 @@ class ApiKey:
     created_us: int
     revoked_us: int | None
     last_used_us: int | None
+    rotated_us: int | None  # when it got its present secret; None: at its creation
 
     def may_ingest(self, sensor_id: str) -> bool:
         """Return whether the key may send frames for this sensor."""
@@ -123,6 +124,20 @@ def revoke_key(connection: Connection, key_id: str, *, now_us: int) -> ApiKey:
     return read_key(connection, key_id)
 
 
+def rotate_key(connection: Connection, key_id: str, *, now_us: int) -> tuple[ApiKey, str]:
+    """Give a key another secret and return both; the one before is worthless from now on.
+
+    Raises NotFound, and Conflict when the key is revoked.
+    """
+    if read_key(connection, key_id).revoked_us is not None:
+        raise Conflict(f"key {key_id} is revoked; make another")
+    secret = secrets.token_urlsafe(_SECRET_BYTES)
+    connection.execute(
+        update(api_keys).where(api_keys.c.key_id == key_id).values(digest=_digest(secret), rotated_us=now_us)
+    )
+    return read_key(connection, key_id), secret
+
+
 def note_use(connection: Connection, key_id: str, *, now_us: int) -> None:
     """Remember that a key was used, to the minute."""
     last = api_keys.c.last_used_us
@@ -146,7 +161,7 @@ def _check_sensors(connection: Connection, scopes: list[Scope], sensor_ids: Coll
 
 
 def _digest(secret: str) -> bytes:
-    return hashlib.sha256(secret.encode()).digest()
+    return hashlib.sha256(secret.encode("utf-8", "surrogateescape")).digest()
 
 
 def _api_key(row: RowMapping) -> ApiKey:

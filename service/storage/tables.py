@@ -75,6 +75,30 @@ api_keys = Table(
     Column("created_us", BigInteger, nullable=False),
     Column("revoked_us", BigInteger),
     Column("last_used_us", BigInteger),
+    Column("rotated_us", BigInteger),  # when the key got its present secret, NULL: at its creation
+)
+
+acts = Table(
+    "acts",
+    metadata,
+    Column("number", Integer, primary_key=True),
+    Column("time_us", BigInteger, nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("action", Text, nullable=False),
+    Column("target", Text, nullable=False),
+    Column("detail", JSON, nullable=False),
+)
+
+kept_replies = Table(
+    "kept_replies",
+    metadata,
+    Column("name", LargeBinary, primary_key=True),  # SHA-256 of caller, route and Idempotency-Key
+    Column("request", LargeBinary, nullable=False),  # SHA-256 of the body
+    Column("status", Integer, nullable=False),
+    Column("headers", JSON, nullable=False),
+    Column("body", LargeBinary),  # NULL: it held a secret
+    Column("expires_us", BigInteger, nullable=False),
+    Index("ix_kept_replies_expires_us", "expires_us"),
 )
 
 shards = Table(

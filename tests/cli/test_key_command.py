@@ -7,6 +7,8 @@ import json
 import pytest
 
 import service
+from service.storage.audit import list_acts
+from service.storage.database import connection, open_database
 
 
 @pytest.fixture
@@ -76,3 +78,20 @@ def test_a_wrong_setting_of_the_environment_is_named(run_on_data, monkeypatch):
     monkeypatch.setenv("WAYSIDE_PORT", "many")
 
     assert "WAYSIDE_PORT" in run_on_data("migrate", code=2).stderr
+
+
+def test_a_rotated_key_has_another_secret_and_each_act_is_written_down(run_on_data, tmp_path):
+    made = json.loads(run_on_data("key", "create", "--json").stdout)
+    rotated = json.loads(run_on_data("key", "rotate", made["key_id"], "--json").stdout)
+    run_on_data("key", "revoke", made["key_id"])
+
+    assert rotated["key_id"] == made["key_id"]
+    assert len({made["key"], rotated["key"]}) == 2
+    engine = open_database(f"sqlite:///{tmp_path}/data/rows.sqlite")
+    with connection(engine) as reader:
+        acts = list_acts(reader, target=made["key_id"]).items
+    engine.dispose()
+    assert [(act.actor, act.action) for act in acts] == [
+        ("command line", f"key.{what}") for what in ("revoked", "rotated", "created")
+    ]
+    assert "is revoked" in run_on_data("key", "rotate", made["key_id"], code=1).stderr
