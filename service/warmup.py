@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from service.formats.sensor import GivenLane, LaneControl, SensorConfig
 from service.tracking import tracker
 from service.tracking.association import marginals
 from service.tracking.clustering import dbscan, split_lateral
@@ -16,6 +17,10 @@ from service.tracking.clustering_parameters import ClusteringParameters
 from service.tracking.filters.registry import filter_names, make_filter
 from service.tracking.model import F64, Frame
 from service.tracking.parameters import TrackerParameters
+from service.traffic import monitor
+from service.traffic.curves import beside
+from service.traffic.model import Moment
+from service.traffic.parameters import traffic_setup
 
 FRAMES = 60  # until tracks are confirmed, contend for points, and standing points are looked at
 FRAME_US = 50_000
@@ -51,9 +56,14 @@ def _whole_step() -> None:
     """Track a made-up road for a moment: it reaches every kernel of the chain."""
     chosen = TrackerParameters()
     state = tracker.initial_state(chosen)
+    lane = GivenLane(index=1, points_m=((0.0, 150.0), (0.0, 20.0)))
+    setup = traffic_setup(SensorConfig(lanes=LaneControl(mode="replaced", lanes=(lane,))))
+    traffic = monitor.initial_state()
     for number in range(FRAMES):
-        state, _, _ = tracker.step(state, _frame(number), chosen)
+        state, estimates, _ = tracker.step(state, _frame(number), chosen)
+        traffic, _, _ = monitor.step(traffic, Moment(number * FRAME_US, number, tick=False), estimates, setup)
     tracker.coast(state, FRAMES * FRAME_US, chosen)
+    beside(np.zeros((1, 2)), np.array([[0.0, 0.0], [1.0, 0.0]]))
 
 
 def _frame(number: int) -> Frame:

@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "simulation": {"formats", "traffic", "tracking"},
     "evaluation": {"simulation", "formats", "traffic", "tracking"},
     "storage": {"formats", "traffic", "tracking"},
-    "warmup": {"tracking"},
+    "warmup": {"traffic", "formats", "tracking"},
     "settings": set[str](),
     "telemetry": {"settings"},
     "pipeline": {"storage", "formats", "traffic", "tracking", "settings", "telemetry", "warmup"},

@@ -18,11 +18,12 @@ from service.tracking.clustering_parameters import ClusteringParameters
 LEFT_OVER = """
 import importlib, pkgutil
 from numba.core.registry import CPUDispatcher
-import service.tracking
+import service.tracking, service.traffic
 from service.warmup import warm_up
 
 warm_up(lambda name, seconds: None)
-names = [m.name for m in pkgutil.iter_modules(service.tracking.__path__, "service.tracking.")]
+packages = (service.tracking, service.traffic)
+names = [m.name for p in packages for m in pkgutil.iter_modules(p.__path__, p.__name__ + ".")]
 values = [f for name in names for f in vars(importlib.import_module(name)).values()]
 found = [f for f in values if isinstance(f, CPUDispatcher)]
 entries = [f for f in found if "no_cpython_wrapper" not in f.targetoptions]

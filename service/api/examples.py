@@ -103,7 +103,8 @@ LIVE_TRACK: Final = {
     "existence": 0.999,
     "age_s": 4.2,
     "hits": 80,
-    "lane": None,
+    "lane": 2,
+    "motion": "moving",
     "longitude_deg": 11.57525643,
     "latitude_deg": 48.13777216,
 }
@@ -154,7 +155,8 @@ STATE: Final = {
     "speed_mps": 16.811,
     "std_x_m": 0.21,
     "std_y_m": 0.13,
-    "lane": None,
+    "lane": 2,
+    "motion": "moving",
     "longitude_deg": 11.57525643,
     "latitude_deg": 48.13777216,
 }
@@ -171,7 +173,8 @@ STATE_LINE: Final = {
             "vy_mps": -16.811,
             "std_x_m": 0.21,
             "std_y_m": 0.13,
-            "lane": None,
+            "lane": 2,
+            "motion": "moving",
         }
     ],
 }

@@ -45,6 +45,7 @@ class FrameInput(BaseModel):
     detections: list[DetectionRow] | DetectionColumns
 
 
+MotionText = Literal["unclassified", "stationary", "moving", "oncoming", "start_stop"]
 FrameStatus = Literal["accepted", "duplicate", "late", "conflict", "rejected"]
 
 
@@ -95,6 +96,7 @@ class LiveTrack(BaseModel):
     age_s: float
     hits: int
     lane: int | None
+    motion: MotionText
     longitude_deg: float | None
     latitude_deg: float | None
 
@@ -201,6 +203,7 @@ class StateReply(BaseModel):
     std_x_m: float
     std_y_m: float
     lane: int | None
+    motion: MotionText
     longitude_deg: float | None
     latitude_deg: float | None
 

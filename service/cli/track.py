@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import orjson
 import typer
@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from service.formats.sensor import SensorConfig
-    from service.pipeline.fold_state import FoldOutput
-    from service.storage.rows import TrackKey, TrackSummary
+    from service.pipeline.fold_state import FoldOutput, FoldState
+    from service.storage.rows import EventRow, LaneChangeRow, TrackKey, TrackSummary
     from service.tracking.model import Frame
 
-FILES = ("tracks.jsonl", "track_summaries.jsonl", *COUNT_FILES, "summary.json")
+FILES = (
+    "tracks.jsonl", "track_summaries.jsonl", *COUNT_FILES, "changes.jsonl", "events.jsonl", "lanes.json",
+    "lanes.geojson", "summary.json",
+)  # fmt: skip
 
 
 @one_sentence()
@@ -41,17 +44,22 @@ def track(
     as_json: options.Json = False,
 ) -> None:
     """Track recorded frames and write what was found into a folder."""
+    from service.cli.lane_files import write_lanes
     from service.cli.results import written_together
     from service.cli.site_file import read_site
     from service.formats.json_frames import read_frames
     from service.pipeline.offline import fold_frames
+    from service.traffic.parameters import traffic_setup
 
     config = read_site(site, filter_name, settings or ())
     begun_s = time.monotonic()
     with written_together(out, FILES, force=force) as folder, progress(wanted=show) as bar:
         counted = _Counted(read_frames(frames, config), bar, frames)
-        tally = _write(folder, config, fold_frames(counted, config))
+        ends: list[FoldState[Any]] = []
+        tally = _write(folder, config, fold_frames(counted, config, at_end=ends.append))
+        tally |= write_lanes(folder, config, ends[0])
         summary = provenance(config.tracker_parameters()) | {"sensor_id": config.sensor_id}
+        summary["traffic_digest"] = traffic_setup(config).parameters.digest()
         summary |= counted.summary() | tally | {"elapsed_s": round(time.monotonic() - begun_s, 3)}
         (folder / "summary.json").write_text(json_text(summary) + "\n")
     if as_json:
@@ -94,19 +102,23 @@ class _Counted:
 
 def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) -> dict[str, object]:
     """Write the lines of every frame as it is folded, then the tracks; return the counts."""
-    from service.api.track_schemas import track_fields
+    from service.api.track_schemas import EventReply, track_fields
+    from service.cli.lane_files import change_lines
     from service.formats.tracks import frame_line
 
     tracks: dict[TrackKey, TrackSummary] = {}
     fates: Counter[str] = Counter()
-    epoch, states, missing, events = 1, 0, 0, 0
+    epoch, states, missing = 1, 0, 0
+    changes: list[LaneChangeRow] = []
+    events: list[EventRow] = []
     counts = CountFiles(config)
     with (folder / "tracks.jsonl").open("wb") as lines:
         for output in outputs:
             epoch += output.restarted is not None
             fates[output.fate.value] += 1
             missing += output.missing
-            events += len(output.rows.events)
+            events += output.rows.events
+            changes += output.rows.lane_changes
             counts.add(output.rows)
             tracks.update((row.key, row) for row in output.rows.tracks)
             for scan in output.frames:
@@ -116,13 +128,17 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
     with (folder / "track_summaries.jsonl").open("wb") as lines:
         for key in sorted(tracks, key=lambda key: (key.epoch, key.number)):
             lines.write(orjson.dumps(track_fields(tracks[key])) + b"\n")
+    (folder / "changes.jsonl").write_bytes(change_lines(changes))
+    told = [EventReply.of(event).model_dump_json() + "\n" for event in events]
+    (folder / "events.jsonl").write_text("".join(told))
     return {
         "tracks": len(tracks),
+        "lane_changes": len(changes),
         "states": states,
         "missing_frames": missing,
         "duplicate_frames": fates["duplicate"],
         "late_frames": fates["late"],
         "conflicting_frames": fates["conflict"],
         "restarts": epoch - 1,
-        "events": events,
+        "events": len(events),
     } | counts.write(folder)

@@ -9,7 +9,7 @@ import json
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.tracking.parameters import SensorModel, TrackerParameters
 
@@ -58,6 +58,32 @@ class CountLine(_Schema):
     p1: tuple[Finite, Finite]
 
 
+class GivenLane(_Schema):
+    """A lane that a user put into force: its centre line in driving direction, in the plan frame."""
+
+    index: Annotated[int, Field(ge=1, le=255)]
+    points_m: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=2, max_length=1000)]
+    width_m: Annotated[float, Field(gt=0, le=20)] = 3.5
+    kind: Literal["lane", "turn"] = "lane"
+    vehicles: Annotated[int, Field(ge=0)] = 0  # that it was learned from, when it was
+
+
+class LaneControl(_Schema):
+    """Where the lane map comes from: learned from traffic, pinned as it was learned, or drawn by a user."""
+
+    mode: Literal["learned", "pinned", "replaced"] = "learned"
+    lanes: Annotated[tuple[GivenLane, ...], Field(max_length=255)] = ()  # in force unless they are learned
+    names: dict[str, str] = {}  # lane_id -> what people call it
+    accepted: str | None = None  # "<epoch>-<version>" of the map that a user found right
+
+    @model_validator(mode="after")
+    def _one_lane_an_index(self) -> LaneControl:
+        indices = [lane.index for lane in self.lanes]
+        if len(set(indices)) != len(indices):
+            raise ValueError("two lanes have the same index")
+        return self
+
+
 class SensorConfig(_Schema):
     """A radar as mounted: pose, conventions, noise, region, count lines, and how it is tracked."""
 
@@ -77,6 +103,7 @@ class SensorConfig(_Schema):
     noise_std: NoiseStd = NoiseStd()
     detection_threshold_db: Finite = 12.0
     count_lines: tuple[CountLine, ...] = ()
+    lanes: LaneControl = LaneControl()
     filter: str = "astekf"
     parameters: dict[str, str] = {}  # dotted key -> text, as in `wayside track --set key=value`
 

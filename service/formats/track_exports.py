@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from service.formats.georeference import Pose, to_wgs84
 from service.formats.rfc3339 import format_time
-from service.formats.tracks import STATUS_TEXT, rounded, track_id
+from service.formats.tracks import MOTION_TEXT, STATUS_TEXT, rounded, status_and_motion, track_id
 from service.tracking.model import F64, I64
 
 STATE_COLUMNS = (
@@ -31,6 +31,7 @@ STATE_COLUMNS = (
     "std_x_m",
     "std_y_m",
     "lane",
+    "motion",
     "longitude_deg",
     "latitude_deg",
 )
@@ -75,7 +76,8 @@ def state_records(table: StateTable, pose: Pose | None) -> list[dict[str, object
     columns = {name: rounded(s[name]) for name in ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m")}
     speeds = rounded(np.hypot(s["vx_mps"], s["vy_mps"]))
     places = _places(pose, s["x_m"].astype(np.float64), s["y_m"].astype(np.float64))
-    lanes, status, numbers = s["lane"].tolist(), s["status"].tolist(), table.number.tolist()
+    lanes, numbers = s["lane"].tolist(), table.number.tolist()
+    status, motion = (column.tolist() for column in status_and_motion(s["status"]))
     frames, times_us = table.frame.tolist(), table.time_us.tolist()
     return [
         {
@@ -91,6 +93,7 @@ def state_records(table: StateTable, pose: Pose | None) -> list[dict[str, object
             "std_x_m": columns["std_x_m"][i],
             "std_y_m": columns["std_y_m"][i],
             "lane": lanes[i] or None,
+            "motion": MOTION_TEXT[motion[i]],
             "longitude_deg": places[i][0],
             "latitude_deg": places[i][1],
         }

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from service.formats.georeference import Pose, to_wgs84
 from service.formats.length_class import LENGTH_BOUNDS_M, length_class
 from service.formats.rfc3339 import format_time
-from service.tracking.model import F32, I64, TrackEstimates, TrackStatus
+from service.tracking.model import F32, I64, MOTION_SHIFT, U8, MotionState, TrackEstimates, TrackStatus
 
 STATUS_TEXT = tuple(status.name.lower() for status in TrackStatus)
+MOTION_TEXT = tuple(motion.name.lower() for motion in MotionState)
 
 _MILLIMETRE = 3  # decimals
 _STATE_FIELDS = ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m")
@@ -51,7 +52,8 @@ def frame_line(
         rounded(estimates.std_y_m.astype(np.float16)),
     ]
     ids = [track_id(sensor_id, epoch, number) for number in estimates.number.tolist()]
-    states = _states(ids, estimates.status.tolist(), columns, estimates.lane.tolist())
+    judged = (estimates.lane.tolist(), estimates.motion.tolist())
+    states = _states(ids, estimates.status.tolist(), columns, *judged)
     return _line(frame_number, format_time(time_us), states)
 
 
@@ -59,7 +61,8 @@ def stored_line(sensor_id: str, epoch: int, frame_number: int, time_us: int, sto
     """Return the line that `frame_line` gave for the frame when its tracks were new."""
     columns = [rounded(stored.samples[name]) for name in _STATE_FIELDS]
     ids = [track_id(sensor_id, epoch, number) for number in stored.number.tolist()]
-    states = _states(ids, stored.samples["status"].tolist(), columns, stored.samples["lane"].tolist())
+    status, motion = status_and_motion(stored.samples["status"])
+    states = _states(ids, status.tolist(), columns, stored.samples["lane"].tolist(), motion.tolist())
     return _line(frame_number, format_time(time_us), states)
 
 
@@ -68,6 +71,7 @@ def _states(
     status: Sequence[int],
     columns: Sequence[Sequence[float | None]],
     lane: Sequence[int],
+    motion: Sequence[int],
 ) -> list[dict[str, object]]:
     return [
         {
@@ -75,9 +79,16 @@ def _states(
             "status": STATUS_TEXT[status[i]],
             **{name: column[i] for name, column in zip(_STATE_FIELDS, columns, strict=True)},
             "lane": lane[i] or None,
+            "motion": MOTION_TEXT[motion[i]],
         }
         for i in range(len(ids))
     ]
+
+
+def status_and_motion(stored: U8) -> tuple[U8, U8]:
+    """Return the status and the motion state that share a byte of a stored state."""
+    status, motion = stored & np.uint8((1 << MOTION_SHIFT) - 1), stored >> np.uint8(MOTION_SHIFT)
+    return status.astype(np.uint8), motion.astype(np.uint8)
 
 
 def _line(frame_number: int, timestamp: str, states: list[dict[str, object]]) -> bytes:
@@ -115,7 +126,7 @@ def live_tracks(context: LiveContext, time_us: int, estimates: TrackEstimates) -
     headings = rounded(np.mod(heading_deg, 360.0), 1)
     numbers, hits = estimates.number.tolist(), estimates.hits.tolist()
     ages_s = ((time_us - estimates.born_us) / 1e6).tolist()
-    status, lanes = estimates.status.tolist(), estimates.lane.tolist()
+    status, lanes, motion = estimates.status.tolist(), estimates.lane.tolist(), estimates.motion.tolist()
     return [
         {
             "track_id": track_id(context.sensor_id, context.epoch, numbers[i]),
@@ -126,6 +137,7 @@ def live_tracks(context: LiveContext, time_us: int, estimates: TrackEstimates) -
             "age_s": round(ages_s[i], 3),
             "hits": hits[i],
             "lane": lanes[i] or None,
+            "motion": MOTION_TEXT[motion[i]],
             "longitude_deg": places[i][0],
             "latitude_deg": places[i][1],
         }

@@ -15,7 +15,7 @@ import numpy as np
 
 from service.formats.length_class import length_class
 from service.storage.rows import STATE_SAMPLE, Rows, StateBlock, TrackKey, TrackSummary
-from service.tracking.model import F64, I64, U8, Bool, TrackEstimates
+from service.tracking.model import F64, I64, MOTION_SHIFT, U8, Bool, TrackEstimates
 
 ANCHOR_STEP_M = 1.0
 _SECOND_US = 1_000_000
@@ -191,8 +191,9 @@ def _no_blocks(second: int) -> OpenBlocks:
 
 def _add_samples(blocks: OpenBlocks, time_us: int, frame_number: int, now: TrackEstimates) -> OpenBlocks:
     samples = np.zeros(len(now), dtype=STATE_SAMPLE)
-    for name in ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m", "lane", "status"):
+    for name in ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m", "lane"):
         samples[name] = getattr(now, name)
+    samples["status"] = now.status | now.motion << MOTION_SHIFT
     samples["time_offset_ms"] = (time_us - blocks.second * _SECOND_US) // _MS_US
     return OpenBlocks(
         blocks.second,

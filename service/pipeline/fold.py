@@ -192,7 +192,7 @@ def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldS
         epoch=state.epoch + 1,
         epoch_first_position=state.position,
         tracker=tracker.initial_state(state.parameters),
-        traffic=monitor.finish(state.traffic),
+        traffic=monitor.begun_anew(state.traffic),
         collected=nothing_collected(),
         frame_us=None,
         ticks=0,

@@ -10,7 +10,7 @@ for scan in recording:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -25,7 +25,7 @@ from service.formats.json_frames import parse_frame, read_frames
 from service.formats.sensor import SensorConfig
 from service.formats.tracks import frame_line
 from service.pipeline.fold import TICK_US, start, step
-from service.pipeline.fold_state import MAX_TICKS, Folded, FoldOutput, Tracker
+from service.pipeline.fold_state import MAX_TICKS, Folded, FoldOutput, FoldState, Tracker
 from service.pipeline.order import Fate
 from service.pipeline.records import FrameRecord, TickRecord
 from service.storage.rows import EventRow, Rows, StateBlock, TrackSummary, merge_rows
@@ -42,9 +42,11 @@ def fold_frames(
     *,
     epoch: int = 1,
     tracker: Tracker[Any] | ModuleType = default_tracker,
+    at_end: Callable[[FoldState[Any]], None] | None = None,
 ) -> Iterator[FoldOutput]:
     """Yield what each frame leads to, in their order, and last what time alone leads to after them.
 
+    at_end: is given the state when all is folded.
     Raises InvalidInput when a parameter of the configuration is wrong.
     """
     engine: Tracker[Any] = cast("Any", tracker)
@@ -56,8 +58,10 @@ def fold_frames(
     newest_us = state.order.newest_us
     if newest_us is not None:
         end = TickRecord(newest_us + (MAX_TICKS + 1) * TICK_US)
-        _, output = step(state, position + 1, end, engine)
+        state, output = step(state, position + 1, end, engine)
         yield output
+    if at_end is not None:
+        at_end(state)
 
 
 @dataclass(frozen=True, slots=True)

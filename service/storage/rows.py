@@ -17,7 +17,7 @@ STATE_SAMPLE = np.dtype(
         ("std_x_m", "<f2"),
         ("std_y_m", "<f2"),
         ("lane", "u1"),
-        ("status", "u1"),  # tracking.model.TrackStatus
+        ("status", "u1"),  # tracking.model.TrackStatus, and MotionState << MOTION_SHIFT
         ("frame_offset", "<u2"),  # frame number less the block's first
         ("time_offset_ms", "<u2"),  # time less the block's second
     ]

@@ -29,6 +29,19 @@ class TrackStatus(IntEnum):
     DELETED = 3
 
 
+class MotionState(IntEnum):
+    """How a vehicle moves, judged over the last seconds."""
+
+    UNCLASSIFIED = 0
+    STATIONARY = 1
+    MOVING = 2
+    ONCOMING = 3
+    START_STOP = 4
+
+
+MOTION_SHIFT = 4  # stored states keep both in one byte: the status in the low four bits, the motion above
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One scan of the radar: N point detections as columns, sign conventions and units already ours.
@@ -73,7 +86,7 @@ class TrackEstimates:
     existence: F32  # probability that the track is a vehicle
     status: U8  # TrackStatus
     lane: U8  # index of the lane, 0: none
-    motion: U8  # traffic.model.MotionState, 0: unclassified
+    motion: U8  # MotionState
     hits: I64  # frames with an associated measurement
     born_us: I64
 

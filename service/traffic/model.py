@@ -7,7 +7,6 @@ are integer microseconds since 1970.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Literal
 
 import numpy as np
@@ -20,16 +19,6 @@ MOST_LANES = 255  # an index is one byte
 
 Direction = Literal["approaching", "receding", "crossing"]
 LaneKind = Literal["lane", "turn"]  # a turn is a way through a junction
-
-
-class MotionState(IntEnum):
-    """How a vehicle moves, judged over the last seconds."""
-
-    UNCLASSIFIED = 0
-    STATIONARY = 1
-    MOVING = 2
-    ONCOMING = 3
-    START_STOP = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +71,7 @@ class Samples:
     vx_mps: F32
     vy_mps: F32
     lane: U8  # as judged at the time
+    across_std_m: F32  # standard deviation of the place across the vehicle's heading
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +133,12 @@ class Outputs:
 def no_samples() -> Samples:
     """Return samples of nothing."""
     i, f = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.float32)
-    return Samples(i, i, f, f, f, f, np.zeros(0, dtype=np.uint8))
+    return Samples(i, i, f, f, f, f, np.zeros(0, dtype=np.uint8), f)
 
 
 def take(samples: Samples, index: I64 | Bool) -> Samples:
     """Return the samples at `index` (integers or a mask)."""
     return Samples(
         samples.number[index], samples.time_us[index], samples.x_m[index], samples.y_m[index],
-        samples.vx_mps[index], samples.vy_mps[index], samples.lane[index],
+        samples.vx_mps[index], samples.vy_mps[index], samples.lane[index], samples.across_std_m[index],
     )  # fmt: skip

@@ -1,25 +1,35 @@
 """One step of traffic analysis: the tracks of a frame, and what is known of the traffic before and after it.
 
-tracks -> lane of each vehicle -> motion state -> paths -> lane map, crossings. Each stage has its own state,
-parameters and outputs; all is a function of the state and the tracks, the same live and offline.
+map in force -> lane of each vehicle -> motion state -> paths -> crossings -> next map. Each stage has its own
+state, parameters and outputs; all is a function of the state and the tracks, the same live and offline.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from service.tracking.model import TrackEstimates
+from service.traffic import mapping as lane_mapping
+from service.traffic.assignment import Chart, assign, chart_of, retrace
 from service.traffic.counting import CountState, count, nothing_counted, report
-from service.traffic.model import NO_MAP, LaneMap, Moment, Outputs
-from service.traffic.parameters import TrafficSetup
-from service.traffic.paths import Paths, follow, no_paths
+from service.traffic.mapping import Mapping, no_mapping
+from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, Samples
+from service.traffic.motion_state import classify
+from service.traffic.parameters import TrafficParameters, TrafficSetup
+from service.traffic.paths import Paths, follow, join, no_paths, retraced
+from service.traffic.vehicles import Vehicles, aligned, no_vehicles
 
 
 @dataclass(frozen=True, slots=True)
 class TrafficState:
     """What is remembered of a sensor's traffic; a value, never changed in place."""
 
-    map: LaneMap  # in force
+    mapping: Mapping
+    chart: Chart  # of the map in force
+    vehicles: Vehicles
     paths: Paths
     counts: CountState
 
@@ -28,10 +38,20 @@ class TrafficState:
         """True when the passing of time alone gives nothing more out."""
         return self.counts.idle
 
+    @property
+    def map(self) -> LaneMap:
+        """Return the lane map in force; its version is 0 while there is none."""
+        return self.mapping.map
+
 
 def initial_state() -> TrafficState:
     """Return the state before the first frame."""
-    return TrafficState(map=NO_MAP, paths=no_paths(), counts=nothing_counted())
+    return TrafficState(no_mapping(), chart_of(NO_MAP), no_vehicles(), no_paths(), nothing_counted())
+
+
+def begun_anew(state: TrafficState) -> TrafficState:
+    """Return the state at the start of a new epoch: no vehicles, but the lanes stay those of the road."""
+    return replace(initial_state(), mapping=lane_mapping.begun_anew(state.mapping))
 
 
 def step(
@@ -39,9 +59,23 @@ def step(
 ) -> tuple[TrafficState, TrackEstimates, Outputs]:
     """Return the state after a frame or a tick, the tracks with lane and motion state, and the outputs."""
     p = setup.parameters
+    state, found, traced = _map_in_force(state, moment, setup)
+    vehicles = aligned(state.vehicles, estimates.number)
+    version = state.map.version
+    lane, changes = assign(vehicles, moment, estimates, state.chart, version, p.assignment)
+    motion = classify(vehicles, moment, estimates, state.chart, setup.travel_heading_rad, p.motion)
+    estimates = dataclasses.replace(estimates, lane=lane, motion=motion)
     paths, finished = follow(state.paths, moment, estimates, p.paths)
     counts, counted = count(state.counts, moment, estimates, state.map, setup)
-    return TrafficState(state.map, paths, counts), estimates, Outputs(finished=finished, counts=counted)
+    mapping, drift = state.mapping, None
+    if finished:
+        mapping, drift = lane_mapping.gather(mapping, finished, p.evidence, p.drift, p.mapping)
+    if not moment.tick:
+        mapping = lane_mapping.look(
+            mapping, moment, setup.config.sensor_id, p.learning, p.identity, p.mapping
+        )
+    state = TrafficState(mapping, state.chart, vehicles, paths, counts)
+    return state, estimates, Outputs(finished, (*traced, *changes), found, drift, counted)
 
 
 def last_words(state: TrafficState) -> Outputs:
@@ -49,6 +83,49 @@ def last_words(state: TrafficState) -> Outputs:
     return Outputs(counts=report(state.counts))
 
 
-def finish(state: TrafficState) -> TrafficState:
-    """Return the state when every track ends at once and a new epoch begins: the map stays."""
-    return TrafficState(map=state.map, paths=no_paths(), counts=nothing_counted())
+def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
+    """Return the map that all evidence up to now tells of: for the end of a recording."""
+    p, mapping = setup.parameters, state.mapping
+    if mapping.given_key or len(mapping.evidence.paths) < p.mapping.paths_min:
+        return mapping.map
+    lanes = lane_mapping.lanes_now(mapping, p.learning, p.identity, p.mapping)
+    return replace(mapping.map, vehicles=len(mapping.evidence.paths), lanes=lanes)
+
+
+def _map_in_force(
+    state: TrafficState, moment: Moment, setup: TrafficSetup
+) -> tuple[TrafficState, LaneMap | None, tuple[LaneChange, ...]]:
+    """Return the state at a frame, the map that came into force with it, and what it tells of the past."""
+    if moment.tick:
+        return state, None, ()
+    before = state.mapping
+    mapping = lane_mapping.begin(before, moment, setup.given)
+    state = replace(state, mapping=mapping)
+    if mapping.map is before.map:
+        return state, None, ()
+    state = replace(state, chart=chart_of(mapping.map))
+    traced: tuple[LaneChange, ...] = ()
+    if not before.map.version:
+        state, traced = _trace_back(state, before, setup.parameters)
+    return state, mapping.map, traced
+
+
+def _trace_back(
+    state: TrafficState, before: Mapping, p: TrafficParameters
+) -> tuple[TrafficState, tuple[LaneChange, ...]]:
+    """Judge, by the first map, what was seen before it: vehicles that have gone, and those still there."""
+    gone = [path.samples for path in before.backlog]
+    past = join((state.paths.past, *state.paths.recent))
+    version = state.map.version
+    found: list[LaneChange] = []
+    for samples in gone:
+        passing = no_vehicles(np.unique(samples.number))
+        found += retrace(passing, samples, state.chart, version, p.assignment)[1]
+    vehicles = aligned(state.vehicles, state.paths.number)
+    here: Samples = retraced(past, state.paths.number)
+    lane, changes = retrace(vehicles, here, state.chart, version, p.assignment)
+    found += changes
+    paths = replace(state.paths, past=replace(here, lane=lane), recent=())
+    return replace(state, vehicles=vehicles, paths=paths), tuple(
+        sorted(found, key=lambda c: (c.time_us, c.number))
+    )

@@ -11,7 +11,15 @@ from dataclasses import dataclass, field
 from service.errors import InvalidInput
 from service.formats.sensor import TRAFFIC_PREFIX, SensorConfig
 from service.tracking.parameters import with_setting
+from service.traffic.assignment import AssignmentParameters
+from service.traffic.control import given_lanes
 from service.traffic.count_parameters import CountParameters
+from service.traffic.drift import DriftParameters
+from service.traffic.evidence import EvidenceParameters
+from service.traffic.identity import IdentityParameters
+from service.traffic.learning import LearningParameters
+from service.traffic.mapping import Given, MappingParameters
+from service.traffic.motion_state import MotionParameters
 from service.traffic.paths import PathParameters
 
 
@@ -21,6 +29,13 @@ class TrafficParameters:
 
     paths: PathParameters = field(default_factory=PathParameters)
     counting: CountParameters = field(default_factory=CountParameters)
+    assignment: AssignmentParameters = field(default_factory=AssignmentParameters)
+    motion: MotionParameters = field(default_factory=MotionParameters)
+    evidence: EvidenceParameters = field(default_factory=EvidenceParameters)
+    learning: LearningParameters = field(default_factory=LearningParameters)
+    identity: IdentityParameters = field(default_factory=IdentityParameters)
+    mapping: MappingParameters = field(default_factory=MappingParameters)
+    drift: DriftParameters = field(default_factory=DriftParameters)
 
     def as_dict(self) -> dict[str, object]:
         """Return the parameters as nested plain values."""
@@ -38,6 +53,7 @@ class TrafficSetup:
 
     parameters: TrafficParameters
     config: SensorConfig
+    given: Given  # lanes of that configuration
 
     @property
     def travel_heading_rad(self) -> float | None:
@@ -57,4 +73,4 @@ def traffic_setup(config: SensorConfig) -> TrafficSetup:
                 )
             except InvalidInput as error:
                 raise InvalidInput.at(f"/{key}", error.errors[0].reason) from None
-    return TrafficSetup(parameters, config)
+    return TrafficSetup(parameters, config, given_lanes(config.lanes, parameters.identity))

@@ -69,7 +69,17 @@ def follow(
 def _samples(now: TrackEstimates, due: Bool, time_us: int) -> Samples:
     number = now.number[due]
     time = np.full(len(number), time_us, dtype=np.int64)
-    return Samples(number, time, now.x_m[due], now.y_m[due], now.vx_mps[due], now.vy_mps[due], now.lane[due])
+    return Samples(
+        number, time, now.x_m[due], now.y_m[due], now.vx_mps[due], now.vy_mps[due], now.lane[due],
+        across_std_m(now)[due],
+    )  # fmt: skip
+
+
+def across_std_m(now: TrackEstimates) -> F32:
+    """Return the standard deviation (T,) of each track's place across its heading."""
+    right, back = np.cos(now.heading_rad), -np.sin(now.heading_rad)
+    variance = (now.std_x_m * right) ** 2 + (now.std_y_m * back) ** 2 + 2.0 * now.cov_xy_m2 * right * back
+    return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
 
 def _last_places(paths: Paths, number: I64) -> tuple[F32, F32]:
@@ -97,10 +107,15 @@ def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
     )
 
 
+def retraced(samples: Samples, number: I64) -> Samples:
+    """Return the samples of the named tracks."""
+    return take(samples, np.isin(samples.number, number))
+
+
 def _joined(paths: Paths, p: PathParameters) -> Paths:
     """Return the paths as one table, without the tracks that have ended."""
     past = join((paths.past, *paths.recent))
-    past = take(past, np.isin(past.number, paths.number))
+    past = retraced(past, paths.number)
     if len(past.number) > p.most_samples:
         past = take(past, np.arange(len(past.number) - p.most_samples, len(past.number)))
     return Paths(paths.number, paths.x_m, paths.y_m, paths.length_m, paths.width_m, paths.existence, past, ())
@@ -108,5 +123,5 @@ def _joined(paths: Paths, p: PathParameters) -> Paths:
 
 def join(parts: tuple[Samples, ...]) -> Samples:
     """Return several tables of samples as one."""
-    names = ("number", "time_us", "x_m", "y_m", "vx_mps", "vy_mps", "lane")
+    names = ("number", "time_us", "x_m", "y_m", "vx_mps", "vy_mps", "lane", "across_std_m")
     return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))

@@ -58,7 +58,7 @@ def test_the_summary_names_version_parameters_and_counts(tracked, scene):
 def test_the_same_frames_give_the_same_bytes(run, tracked, scene, tmp_path):
     run("track", scene / "frames.jsonl.gz", "--site", scene / "site.json", "--out", tmp_path / "again")
 
-    for name in ("tracks.jsonl", "track_summaries.jsonl"):
+    for name in ("tracks.jsonl", "track_summaries.jsonl", "changes.jsonl", "lanes.json", "lanes.geojson"):
         assert (tmp_path / "again" / name).read_bytes() == (tracked / name).read_bytes()
 
 
@@ -109,6 +109,7 @@ def test_a_damaged_frame_is_named_and_nothing_is_written(run, scene, tmp_path):
         (["--filter", "kalman"], "kalman"),
         (["--set", "clustering.window=4"], "no such parameter"),
         (["--set", "filter"], "KEY=VALUE"),
+        (["--set", "traffic.mapping.each_s=4"], "/traffic.mapping.each_s: no such parameter"),
     ],
 )
 def test_a_wrong_setting_is_a_sentence(run, scene, tmp_path, options, reason):

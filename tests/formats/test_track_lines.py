@@ -24,7 +24,7 @@ from service.formats.track_exports import (
 )
 from service.formats.tracks import LiveContext, StoredStates, frame_line, live_tracks, stored_line
 from service.storage.rows import STATE_SAMPLE
-from service.tracking.model import TrackEstimates, TrackStatus
+from service.tracking.model import MOTION_SHIFT, TrackEstimates, TrackStatus
 
 SECOND = 1_747_029_600
 FLOATS = ("x_m", "y_m", "vx_mps", "vy_mps", "std_x_m", "std_y_m")
@@ -57,8 +57,9 @@ def estimates(rng, count):
 
 def sample_of(e, i, frame_offset, time_us):
     sample = np.zeros((), STATE_SAMPLE)
-    for name in (*FLOATS, "lane", "status"):
+    for name in (*FLOATS, "lane"):
         sample[name] = getattr(e, name)[i]
+    sample["status"] = e.status[i] | e.motion[i] << MOTION_SHIFT
     sample["frame_offset"] = frame_offset
     sample["time_offset_ms"] = time_us // 1000 - SECOND * 1000
     return sample
@@ -83,7 +84,7 @@ def test_a_line_holds_what_the_documentation_says():
 
     assert (line["frame"], line["timestamp"]) == (12, "2025-05-12T06:00:00.600Z")
     assert [track["track_id"] for track in line["tracks"]] == ["radar-1-1-1", "radar-1-1-2"]
-    assert list(line["tracks"][0]) == ["track_id", "status", *FLOATS, "lane"]
+    assert list(line["tracks"][0]) == ["track_id", "status", *FLOATS, "lane", "motion"]
     assert all(round(track[name], 3) == track[name] for track in line["tracks"] for name in FLOATS)
 
 

@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from service.formats.sensor import GivenLane, LaneControl, SensorConfig
+from service.tracking import snapshot
+from service.tracking.model import TrackEstimates
+from service.traffic import monitor
+from service.traffic.model import Moment
+from service.traffic.parameters import traffic_setup
+from tests.traffic.tracks import FRAME_US, START_US, estimates
+
+SETUP = traffic_setup(SensorConfig(sensor_id="radar-1"))
+SPEED_MPS = 16.0
+LENGTH_M = 120.0
+LANES_X_M = (-1.8, 1.8)
+
+
+def scene(seconds, *, every_s=1.5, shift_m=0.0, seed=5, changer=7, first=1) -> list[TrackEstimates]:
+    """Vehicles that follow one another in two lanes towards the radar; one of them changes lanes."""
+    rng = np.random.default_rng(seed)
+    count = int(seconds / every_s)
+    wobble, phase = rng.normal(0, 0.15, count), rng.uniform(0, 6, count)
+    frames = []
+    for k in range(int(seconds * 1e6 / FRAME_US)):
+        t = k * FRAME_US / 1e6
+        age = t - every_s * np.arange(count)
+        here = np.flatnonzero((age >= 0) & (age * SPEED_MPS < LENGTH_M))
+        x = np.array(LANES_X_M)[here % 2] + shift_m + wobble[here] + 0.1 * np.sin(age[here] + phase[here])
+        changing = here == changer
+        x[changing] -= 3.6 * np.clip((age[here][changing] - 2.5) / 3.0, 0, 1)
+        frames.append(estimates(first + here, x, 140 - SPEED_MPS * age[here], 0.0, -SPEED_MPS))
+    return frames
+
+
+def watch(frames, state=None, setup=SETUP, start=0):
+    """Fold the frames; return the state, the outputs and the estimates."""
+    state = state or monitor.initial_state()
+    outputs, seen = [], []
+    for k, now in enumerate(frames, start=start):
+        moment = Moment(START_US + k * FRAME_US, k, tick=False)
+        state, judged, found = monitor.step(state, moment, now, setup)
+        outputs.append(found)
+        seen.append(judged)
+    return state, outputs, seen
+
+
+def maps(outputs):
+    return [(k, found.map) for k, found in enumerate(outputs) if found.map is not None]
+
+
+def changes(outputs):
+    return [(k, change) for k, found in enumerate(outputs) for change in found.changes]
+
+
+@pytest.fixture(scope="module")
+def minute():
+    frames = scene(60)
+    return frames, *watch(frames)
+
+
+def test_lanes_are_learned_and_every_vehicle_is_in_its_own(minute):
+    frames, state, outputs, seen = minute
+    first = maps(outputs)[0][0]
+
+    assert len(state.map.lanes) == 2
+    assert {lane.direction for lane in state.map.lanes} == {"approaching"}
+    middles = {lane.index: float(lane.points_m[:, 0].mean()) for lane in state.map.lanes}
+    for before, judged in zip(frames[first:], seen[first:], strict=True):
+        settled = before.y_m < 60  # the one that changes has arrived
+        nearest = np.array([min(middles, key=lambda k, x=x: abs(middles[k] - x)) for x in before.x_m])
+        np.testing.assert_array_equal(judged.lane[settled], nearest[settled])
+
+
+def test_a_change_before_the_first_map_is_found_when_the_map_comes(minute):
+    _, _, outputs, _ = minute
+    first = maps(outputs)[0][0]
+
+    ((told, change),) = changes(outputs)
+
+    assert told == first
+    assert change.number == 8
+    assert (change.time_us - START_US) / 1e6 == pytest.approx(7 * 1.5 + 2.5 + 1.5, abs=0.35)
+    assert change.from_lane != change.to_lane
+
+
+def test_a_map_comes_into_force_a_fixed_number_of_frames_after_the_state_it_was_learned_from(minute):
+    frames, _, outputs, _ = minute
+    state, coming = monitor.initial_state(), {}
+    for k, now in enumerate(frames):
+        moment = Moment(START_US + k * FRAME_US, k, tick=False)
+        state, _, _ = monitor.step(state, moment, now, SETUP)
+        if state.mapping.coming is not None:
+            coming.setdefault(state.mapping.coming.frame, k)
+
+    assert [k for k, _ in maps(outputs)] == [k + 40 for k in coming.values()]
+
+
+def test_a_state_from_its_bytes_goes_on_to_the_same_bytes(minute):
+    frames, _, outputs, seen = minute
+    half = maps(outputs)[0][0] - 20  # a map is on its way
+    state, _, _ = watch(frames[:half])
+    again = snapshot.load(monitor.TrafficState, snapshot.dump(state))
+
+    end, later, judged = watch(frames[half:], again, start=half)
+
+    assert repr(later) == repr(outputs[half:])
+    assert [j.lane.tobytes() + j.motion.tobytes() for j in judged] == [
+        j.lane.tobytes() + j.motion.tobytes() for j in seen[half:]
+    ]
+    assert snapshot.dump(end) == snapshot.dump(watch(frames)[0])
+
+
+def test_sensors_learn_at_different_times():
+    frames = scene(60)
+    firsts = set()
+    for sensor_id in ("radar-1", "radar-2", "north"):
+        _, outputs, _ = watch(frames, setup=traffic_setup(SensorConfig(sensor_id=sensor_id)))
+        firsts.add(maps(outputs)[0][0])
+
+    assert len(firsts) == 3
+
+
+def test_a_recording_played_twice_keeps_its_lanes_and_their_numbers(minute):
+    frames, once, _, _ = minute
+    again = scene(60, first=101)
+
+    twice, _outputs, _ = watch(again, once, start=len(frames))
+
+    assert [lane.index for lane in twice.map.lanes] == [lane.index for lane in once.map.lanes]
+    for one, other in zip(once.map.lanes, twice.map.lanes, strict=True):
+        assert abs(one.points_m[:, 0].mean() - other.points_m[:, 0].mean()) < 0.15
+
+
+def test_lanes_that_a_user_draws_are_in_force_at_once_and_are_not_learned_away(minute):
+    frames, state, _, _ = minute
+    given = GivenLane(index=9, points_m=((0.0, 140.0), (0.0, 20.0)), width_m=8.0)
+    drawn = SensorConfig(sensor_id="radar-1", lanes=LaneControl(mode="replaced", lanes=(given,)))
+
+    later, outputs, seen = watch(frames, state, traffic_setup(drawn), start=len(frames))
+
+    ((at, lane_map),) = maps(outputs)
+    assert (at, lane_map.source, lane_map.version) == (0, "user", state.map.version + 1)
+    assert [lane.index for lane in later.map.lanes] == [9]
+    assert set(np.concatenate([now.lane for now in seen[200:]]).tolist()) == {9}
+    learned, outputs, _ = watch(frames, later, SETUP, start=2 * len(frames))
+    assert len(learned.map.lanes) == 2
+    assert learned.map.source == "learned"
+
+
+def test_an_alarm_is_told_when_the_mast_has_moved_and_the_lanes_are_learned_anew(minute):
+    frames, state, _, _ = minute
+    moved = scene(150, shift_m=6.5, first=201, changer=-1)
+    calm = traffic_setup(SensorConfig(parameters={"traffic.mapping.young_paths": "10"}))
+
+    later, outputs, _ = watch(moved, state, calm, start=len(frames))
+
+    told = [found.drift for found in outputs if found.drift is not None]
+    assert [news.opened for news in told] == [True, False]
+    assert told[0].share >= 0.4
+    middles = sorted(float(lane.points_m[:, 0].mean()) for lane in later.map.lanes)
+    assert middles == pytest.approx([6.5 - 1.8, 6.5 + 1.8], abs=0.4)
+
+
+def test_a_new_epoch_begins_with_the_lanes_of_the_one_before(minute):
+    frames, state, _, _ = minute
+
+    later, outputs, _ = watch(frames[:3], monitor.begun_anew(state), start=len(frames))
+
+    ((at, lane_map),) = maps(outputs)
+    assert (at, lane_map.version) == (0, 1)
+    assert [lane.index for lane in later.map.lanes] == [lane.index for lane in state.map.lanes]
+
+
+def test_ticks_coast_and_end_what_is_left(minute):
+    frames, state, _, _ = minute
+    time_us = START_US + len(frames) * FRAME_US + 1_000_000
+
+    _, judged, _ = monitor.step(state, Moment(time_us, len(frames), tick=True), frames[-1], SETUP)
+    later, _, found = monitor.step(
+        state, Moment(time_us + 1_000_000, len(frames), tick=True), estimates([], 0, 0, 0, 0), SETUP
+    )
+
+    assert set(judged.lane.tolist()) <= {1, 2}
+    assert [path.number for path in found.finished] == frames[-1].number.tolist()
+    assert len(later.vehicles.number) == 0
+
+
+def test_parameters_are_set_by_their_dotted_names():
+    config = SensorConfig(parameters={"traffic.assignment.hold_s": "1.5", "clustering.window_frames": "6"})
+
+    assert traffic_setup(config).parameters.assignment.hold_s == 1.5
+    assert config.tracker_parameters().clustering.window_frames == 6
+    changed = dataclasses.replace(SETUP.parameters).digest()
+    assert traffic_setup(config).parameters.digest() != changed
