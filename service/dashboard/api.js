@@ -19,6 +19,7 @@ export class Problem extends Error {
  * @typedef {object} RequestOptions
  * @property {string} [method]
  * @property {Record<string, string>} [headers]
+ * @property {string} [body]
  * @property {AbortSignal} [signal]
  * @property {number} [waitMs] how long the server may hold the request on purpose
  */
@@ -35,11 +36,12 @@ export function serviceAddress() {
  * @returns {Promise<Response>}
  * @throws {Problem} on a status of 400 or more; a TypeError or DOMException when there is no reply
  */
-export async function request(path, { method = "GET", headers = {}, signal, waitMs = 0 } = {}) {
+export async function request(path, { method = "GET", headers = {}, body, signal, waitMs = 0 } = {}) {
   const limit = AbortSignal.timeout(REQUEST_TIMEOUT_MS + waitMs);
   const response = await fetch(new URL(path, document.baseURI), {
     method,
     headers: { Accept: "application/json", ...headers },
+    body,
     credentials: "same-origin",
     cache: "no-store",
     signal: signal ? AbortSignal.any([signal, limit]) : limit,
@@ -101,6 +103,20 @@ export async function readSensors() {
     cursor = page.next;
   } while (cursor !== null);
   return sensors;
+}
+
+/**
+ * Change a sensor by a JSON merge patch; needs the scope admin.
+ * @param {string} sensorId
+ * @param {Record<string, unknown>} patch
+ * @returns {Promise<import("./state.js").Sensor>} the sensor as it is now
+ */
+export async function patchSensor(sensorId, patch) {
+  return readJson(`api/v1/sensors/${encodeURIComponent(sensorId)}`, {
+    method: "PATCH",
+    headers: { "Content-Type": "application/merge-patch+json" },
+    body: JSON.stringify(patch),
+  });
 }
 
 /** @param {Response} response */

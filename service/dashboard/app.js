@@ -1,6 +1,7 @@
 // Put the parts of the page together: who may look, which sensor, and what comes in.
 
 import { Problem, readSensors } from "./api.js";
+import { CountLines } from "./count_lines.js";
 import { Details } from "./details.js";
 import { EmptyState } from "./empty.js";
 import { speedNumber, UNITS } from "./format.js";
@@ -55,7 +56,7 @@ function fail(error) {
 
 /** @param {string | null} sensorId */
 function choose(sensorId) {
-  store.set({ sensorId, live: null, selected: null, failingSinceMs: null });
+  store.set({ sensorId, live: null, selected: null, draft: null, failingSinceMs: null });
   poll.follow(sensorId);
 }
 
@@ -174,6 +175,7 @@ bindControls();
 followAccess();
 new TrackTable(part("tracks"), store);
 new Details(part("details"), store);
+new CountLines(part("lines"), store);
 new Health({ list: part("health"), failure: part("failure"), version: part("version") }, store);
 new EmptyState(part("empty"), store);
 new Status(

@@ -2,7 +2,7 @@
 
 import { listenForGestures } from "./gestures.js";
 import { Labels } from "./labels.js";
-import { drawScenery } from "./scenery.js";
+import { drawDraft, drawScenery } from "./scenery.js";
 import { readTheme } from "./theme.js";
 import { Trails } from "./trails.js";
 import { drawBox, drawEllipse, drawPoints, drawTrails, placed } from "./vehicles.js";
@@ -11,6 +11,7 @@ import { View } from "./view.js";
 const FRAME_MS = 30; // some 30 pictures a second: smooth enough, and light work for a wall that runs all day
 const AHEAD_MAX_S = 0.5; // vehicles move on by themselves no longer than this
 const TAP_REACH_PX = 22;
+const LINE_ENDS = 2;
 
 /** Draws the road from above; what was drawn last stands in the data attributes of the canvas. */
 export class Plan {
@@ -39,9 +40,9 @@ export class Plan {
     listenForGestures(canvas, {
       onPan: (rightPx, downPx) => this.#move(() => this.#view.pan(rightPx, downPx)),
       onZoom: (factor, leftPx, topPx) => this.zoom(factor, leftPx, topPx),
-      onTap: (leftPx, topPx) => this.#select(leftPx, topPx),
+      onTap: (leftPx, topPx) => this.#tap(leftPx, topPx),
       onFit: () => this.fit(),
-      onEscape: () => this.store.set({ selected: null }),
+      onEscape: () => this.store.set({ selected: null, draft: null }),
     });
     new ResizeObserver(() => this.#resize()).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -114,10 +115,11 @@ export class Plan {
   /** @param {number} nowMs */
   #draw(nowMs) {
     this.#dirty = false;
-    const { live, preferences, selected } = this.store.state;
+    const { live, preferences, selected, draft } = this.store.state;
     const [pen, view, theme] = [this.pen, this.#view, this.#theme];
     pen.setTransform(this.#pixelRatio, 0, 0, this.#pixelRatio, 0, 0);
     const names = drawScenery(pen, view, theme, this.store.sensor);
+    if (draft !== null) drawDraft(pen, view, theme, draft);
     const aheadS = this.#aheadS();
     this.#drawn = (live?.tracks ?? []).map((track) => placed(view, track, aheadS, track.track_id === selected));
     const byId = new Map(this.#drawn.map((drawn) => [drawn.track.track_id, drawn]));
@@ -145,6 +147,22 @@ export class Plan {
     }
     this.canvas.dataset.scale = this.#view.scale.toFixed(3);
     this.canvas.dataset.centre = `${this.#view.xCentreM.toFixed(2)} ${this.#view.yCentreM.toFixed(2)}`;
+  }
+
+  /**
+   * Set an end of the count line that is being drawn, or select the vehicle there.
+   * @param {number} leftPx
+   * @param {number} topPx
+   */
+  #tap(leftPx, topPx) {
+    const { draft } = this.store.state;
+    if (draft === null) {
+      this.#select(leftPx, topPx);
+      return;
+    }
+    /** @type {[number, number]} */
+    const end = [this.#view.xM(leftPx), this.#view.yM(topPx)];
+    this.store.set({ draft: draft.length < LINE_ENDS ? [...draft, end] : [draft[0], end] });
   }
 
   /**

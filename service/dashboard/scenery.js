@@ -138,6 +138,27 @@ function drawCountLine(pen, view, theme, line) {
 }
 
 /**
+ * Draw the count line that is being made: its ends as far as they are set, and what lies between.
+ * @param {CanvasRenderingContext2D} pen
+ * @param {import("./view.js").View} view
+ * @param {import("./theme.js").Theme} theme
+ * @param {[number, number][]} ends
+ */
+export function drawDraft(pen, view, theme, ends) {
+  pen.strokeStyle = theme.mark;
+  pen.fillStyle = theme.mark;
+  pen.lineWidth = 2.5;
+  pen.beginPath();
+  for (const [xM, yM] of ends) pen.lineTo(view.left(xM), view.top(yM));
+  pen.stroke();
+  for (const [xM, yM] of ends) {
+    pen.beginPath();
+    pen.arc(view.left(xM), view.top(yM), 5, 0, 2 * Math.PI);
+    pen.fill();
+  }
+}
+
+/**
  * @param {CanvasRenderingContext2D} pen
  * @param {import("./view.js").View} view
  * @param {import("./theme.js").Theme} theme

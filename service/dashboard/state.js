@@ -44,6 +44,10 @@
  */
 
 /**
+ * @typedef {Sensor["count_lines"][number]} CountLine
+ */
+
+/**
  * @typedef {object} Preferences
  * @property {import("./format.js").Unit} units
  * @property {boolean} labels
@@ -61,6 +65,7 @@
  * @property {number} liveAtMs when `live` came, by performance.now()
  * @property {number | null} failingSinceMs null: the server answers
  * @property {string | null} selected id of the track that is highlighted
+ * @property {[number, number][] | null} draft ends of a count line that is being drawn, in plan metres; null: none is
  * @property {Preferences} preferences
  */
 
@@ -85,6 +90,7 @@ export class Store {
       liveAtMs: 0,
       failingSinceMs: null,
       selected: null,
+      draft: null,
       preferences: readPreferences(),
     };
     this.visibleSinceMs = performance.now();

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from service.tracking.parameters import SensorModel, TrackerParameters
 
+LINE_LEAST_M = 0.5  # of a count line: nothing on wheels is narrower
 TRAFFIC_PREFIX = "traffic."  # of the keys of `parameters` that are of traffic analysis, not of the tracker
 
 SensorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", examples=["radar-1"])]
@@ -56,6 +57,15 @@ class CountLine(_Schema):
     line_id: Annotated[str, Field(min_length=1, max_length=64)]
     p0: tuple[Finite, Finite]
     p1: tuple[Finite, Finite]
+
+    @model_validator(mode="after")
+    def _has_a_length(self) -> CountLine:
+        length_m = math.dist(self.p0, self.p1)
+        if length_m < LINE_LEAST_M:
+            raise ValueError(
+                f"a line needs {LINE_LEAST_M:g} m at least between p0 and p1, has {length_m:g} m"
+            )
+        return self
 
 
 class GivenLane(_Schema):
@@ -106,6 +116,14 @@ class SensorConfig(_Schema):
     lanes: LaneControl = LaneControl()
     filter: str = "astekf"
     parameters: dict[str, str] = {}  # dotted key -> text, as in `wayside track --set key=value`
+
+    @model_validator(mode="after")
+    def _names_lines_once(self) -> SensorConfig:
+        names = [line.line_id for line in self.count_lines]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"count_lines: the line_id {twice[0]!r} is there twice")
+        return self
 
     def sensor_model(self) -> SensorModel:
         """Return the part of the configuration that the tracking core needs, in radians."""

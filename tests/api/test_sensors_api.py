@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pytest
+
 from service.api.sensors import merge
 from tests.api.serving import problem
 
@@ -85,3 +87,18 @@ def test_merge_follows_the_examples_of_rfc_7396():
         "c": {"d": "e"},
     }
     assert merge({"a": [1]}, {"a": {"b": None, "c": 1}}) == {"a": {"c": 1}}
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        ([{"line_id": "a", "p0": [0, 50], "p1": [0, 50.1]}], "0.5 m at least"),
+        ([{"line_id": "a", "p0": [0, 50], "p1": [9, 50]}] * 2, "'a' is there twice"),
+    ],
+)
+def test_count_lines_without_length_or_with_one_name_twice_are_refused(service, lines, reason):
+    reply = service.post("/sensors", json={"sensor_id": "lines", "count_lines": lines})
+
+    assert reply.status_code == 422
+    assert reason in reply.text
+    assert service.get("/sensors/lines").status_code == 404
