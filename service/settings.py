@@ -42,6 +42,10 @@ class Settings(BaseSettings):
     body_limit_bytes: PositiveBytes = ByteSize(16 * 2**20)  # of one request, after decompression
     clock_ahead_limit_s: PositiveSeconds = 60.0  # frames further ahead of the host's clock are refused
 
+    stream_rate_hz: Annotated[float, Field(gt=0, le=50)] = (
+        10.0  # views a second that a live stream carries at most
+    )
+
     # How often one key may ask for what needs a scope: "200/second", "10 per minute", or "none" for no limit.
     rate_limit_ingest: Rate = "5000/second"
     rate_limit_read: Rate = "500/second"

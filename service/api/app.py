@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -27,8 +26,10 @@ from service.api import (
     tracks,
 )
 from service.api.bodies import BodyRoom
+from service.api.broadcast import Broadcasts
 from service.api.dependencies import Services
 from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
+from service.api.intake import Intake
 from service.api.rates import RateLimits
 from service.api.security import Keyring, is_loopback
 from service.api.writes import Writes
@@ -67,7 +68,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         engine,
         settings,
         Keyring(engine, local=local or insecure),
-        asyncio.Event(),
+        Broadcasts(host, settings.stream_rate_hz),
         BodyRoom(settings.body_limit_bytes),
         RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
@@ -78,10 +79,12 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way
     problems.install(app)
     app.add_middleware(Writes)
+    app.add_middleware(Intake)
     app.add_middleware(
         Gate,
         allowed_hosts=_allowed_hosts(settings, local=local),
         http_metrics=HttpMetrics(host.telemetry.registry),
+        verbose=settings.log_level == "debug",
     )
     return app
 

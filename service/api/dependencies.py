@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, cast
@@ -12,6 +11,7 @@ from fastapi import Depends, Path, Query, Request
 from sqlalchemy import Connection, Engine
 
 from service.api.bodies import BodyRoom
+from service.api.broadcast import Broadcasts
 from service.api.problems import HttpProblem
 from service.api.rates import RateLimits
 from service.api.security import SESSION_COOKIE, Caller, Keyring
@@ -33,7 +33,7 @@ class Services:
     engine: Engine
     settings: Settings
     keyring: Keyring
-    closing: asyncio.Event  # set when the server begins to stop: replies that wait end
+    broadcasts: Broadcasts
     room: BodyRoom  # for bodies of frames
     rates: RateLimits
     batches: CapacityLimiter  # batches that are parsed at once: each may take ten times its size in memory

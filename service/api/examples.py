@@ -280,7 +280,7 @@ RESPONSES: Final[dict[str, object]] = {
 # operations whose reply is not JSON: media type and example
 OTHER_RESPONSES: Final[dict[str, tuple[str, object]]] = {
     "read_states": ("application/x-ndjson", json.dumps(STATE_LINE) + "\n"),
-    "stream_live": ("text/event-stream", f"id: 1-812\nevent: live\ndata: {json.dumps(LIVE)}\n\n"),
+    "stream_live": ("text/event-stream", f"id: 812\nevent: live\ndata: {json.dumps(LIVE)}\n\n"),
     "metrics": ("text/plain", 'wayside_http_requests_total{method="GET",route="/livez",status="200"} 1.0\n'),
 }
 # operations that take nothing but their path and give no body

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -25,6 +25,11 @@ LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 CLIENT_LEFT = 499  # in the metrics, for requests whose sender hung up; nobody is there to hear it
 
 REPLY_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'"  # pages say their own
+_MARKS = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"content-security-policy", REPLY_POLICY.encode()),
+)
 _NONE: dict[str, str] = {}
 
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -41,6 +46,7 @@ class HttpMetrics:
 
     def __init__(self, registry: CollectorRegistry) -> None:
         labels = ("method", "route", "status")
+        self._known: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._requests = Counter(
             "wayside_http_requests", "Requests by route and status.", labels, registry=registry
         )
@@ -56,15 +62,27 @@ class HttpMetrics:
         """Count one request that is over."""
         route = str(getattr(scope.get("route"), "path", "other"))
         method = scope["method"] if scope["method"] in _METHODS else "other"
-        self._requests.labels(method, route, str(status)).inc()
-        self._seconds.labels(route).observe(spent_s)
+        known = self._known.get((method, route, status))
+        if known is None:  # the labels are few; finding them took longer than counting
+            known = self._requests.labels(method, route, str(status)), self._seconds.labels(route)
+            self._known[method, route, status] = known
+        known[0].inc()
+        known[1].observe(spent_s)
 
 
 class Gate:
     """Wraps the application; `allowed_hosts` None accepts every Host header."""
 
-    def __init__(self, app: ASGIApp, allowed_hosts: frozenset[str] | None, http_metrics: HttpMetrics) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        allowed_hosts: frozenset[str] | None,
+        http_metrics: HttpMetrics,
+        *,
+        verbose: bool = False,
+    ) -> None:
         self._app = app
+        self._verbose = verbose  # a line for each request; making one that nobody wants took 20 us
         self._allowed_hosts = allowed_hosts
         self._metrics = http_metrics
         # A request id is the process's name and a number: asking the system for random bytes lets go of the
@@ -86,13 +104,11 @@ class Gate:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                reply = MutableHeaders(scope=message)
-                reply.setdefault("X-Request-ID", request_id)
-                reply.setdefault("X-Content-Type-Options", "nosniff")
-                reply.setdefault("Referrer-Policy", "no-referrer")
-                reply.setdefault("Content-Security-Policy", REPLY_POLICY)
-                for name, value in scope["state"].get("rate_headers", _NONE).items():
-                    reply.setdefault(name, value)
+                rates = scope["state"].get("rate_headers", _NONE)
+                extra = [(name.lower().encode(), value.encode()) for name, value in rates.items()]
+                marks = [(b"x-request-id", request_id.encode()), *_MARKS, *extra]
+                given = {name.lower() for name, _ in message["headers"]}
+                message["headers"] = [*message["headers"], *(mark for mark in marks if mark[0] not in given)]
             await send(message)
 
         begun_s = time.perf_counter()
@@ -120,7 +136,10 @@ class Gate:
             finally:
                 spent_s = time.perf_counter() - begun_s
                 self._metrics.observe(scope, status, spent_s)
-                _log.debug("request", method=scope["method"], path=scope["path"], seconds=round(spent_s, 6))
+                if self._verbose:
+                    _log.debug(
+                        "request", method=scope["method"], path=scope["path"], seconds=round(spent_s, 6)
+                    )
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[str, str] | None:
         """Return the kind of problem and its detail for requests that a strange web page may have caused."""

@@ -131,7 +131,7 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End streams and long polls, let the other requests finish, stop the application."""
-        self._services.closing.set()
+        self._services.host.live.end()
         await super().shutdown(sockets=sockets)
 
 

@@ -54,6 +54,12 @@ _NUMBER: frozenset[type] = frozenset((float, int))
 _NUMBER_OR_NULL: frozenset[type] = frozenset((float, int, NoneType))
 
 
+_WHOLE = (*_POLAR, *_COMMON)
+_WHOLE_NAMES = tuple(field.name for field in _WHOLE)
+_WHOLE_LOW = np.array([[field.low] for field in _WHOLE])
+_WHOLE_HIGH = np.array([[field.high] for field in _WHOLE])
+
+
 @dataclass(frozen=True, slots=True)
 class Columns:
     """N detections as the sensor gave them: degrees or metres, the sensor's signs; unknown is NaN."""
@@ -108,6 +114,8 @@ def _read_columns(detections: dict[str, object], max_points: int, errors: list[F
         errors.append(FieldError("/detections", _one_kind(polar=True)))
         return None
     fields = (_POLAR if polar else _CARTESIAN) + _COMMON
+    if polar and (whole := _whole(detections, max_points)) is not None:
+        return whole
     lead = detections.get(fields[0].name)
     count = len(lead) if isinstance(lead, list) else 0
     known = len(errors)
@@ -133,6 +141,26 @@ def _read_columns(detections: dict[str, object], max_points: int, errors: list[F
         lambda name, i: f"/detections/{name}/{i}",
         errors,
     )
+
+
+def _whole(detections: dict[str, object], max_points: int) -> Columns | None:
+    """Return the columns where all four are there and right, as they mostly are; None: look closer.
+
+    One array for all of them takes a third of the time that one for each does.
+    """
+    columns = [detections.get(name) for name in _WHOLE_NAMES]
+    if not all(type(column) is list for column in columns):
+        return None
+    lists = cast("list[list[float]]", columns)
+    if len({len(column) for column in lists}) != 1 or len(lists[0]) > max_points:
+        return None
+    if not all(set(map(type, column)) <= _NUMBER for column in lists):
+        return None
+    values = _to_array(lists)
+    if values is None or not bool(((values >= _WHOLE_LOW) & (values <= _WHOLE_HIGH)).all()):
+        return None
+    first, second, velocity, snr = values
+    return Columns(True, first, second, np.zeros(len(first)), velocity, snr)
 
 
 def _assemble(

@@ -53,6 +53,7 @@ class Door:
         self._frame_log = frame_log
         self._telemetry = telemetry
         self._ahead_limit_s = ahead_limit_s
+        self._durable = telemetry.stage.labels("durable")
 
     async def submit(
         self, channel: Channel[Any], frames: Sequence[Frame], received_us: int
@@ -80,7 +81,7 @@ class Door:
             channel.durable_door = _passed(channel.durable_door, found.records)
             channel.door = _passed(channel.door, found.records)
         channel.heard_us = received_us
-        self._telemetry.stage.labels("durable").observe(time.perf_counter() - started_s)
+        self._durable.observe(time.perf_counter() - started_s)
         return found.results
 
     def count_rejected(self, sensor_id: str, count: int) -> None:

@@ -54,6 +54,7 @@ class LiveView:
         self._entries: dict[str, LiveEntry] = {}
         self._waiters: dict[str, set[asyncio.Future[None]]] = defaultdict(set)
         self._guard = threading.Lock()  # over the waiters
+        self.ended = False  # nobody shall wait any more
 
     def publish(self, entry: LiveEntry) -> None:
         """Make the entry the newest of its sensor, and wake who waits; from any thread."""
@@ -69,24 +70,38 @@ class LiveView:
         """Return the newest entry, None for an unknown sensor."""
         return self._entries.get(sensor_id)
 
+    def end(self) -> None:
+        """Wake whoever waits, and let nobody wait from now on."""
+        self.ended = True
+        for sensor_id in list(self._waiters):
+            self._wake(sensor_id)
+
     async def wait(self, sensor_id: str, after: int, timeout_s: float) -> LiveEntry | None:
         """Return the newest entry as soon as its version is not `after`, or when the time is up.
 
         Any other version counts as news, so that a reader with a version of an earlier installation is
         answered at once. None: the sensor is unknown, or was removed meanwhile.
         """
+        entry = self._entries.get(sensor_id)
+        if entry is None or entry.version != after or timeout_s <= 0 or self.ended:
+            return entry
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await self._news(sensor_id, after)
+        except TimeoutError:
+            return self._entries.get(sensor_id)
+
+    async def _news(self, sensor_id: str, after: int) -> LiveEntry | None:
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + timeout_s
         while True:
             news: asyncio.Future[None] = loop.create_future()
             with self._guard:
                 self._waiters[sensor_id].add(news)
             try:
                 entry = self._entries.get(sensor_id)
-                left_s = deadline - loop.time()
-                if entry is None or entry.version != after or left_s <= 0:
+                if entry is None or entry.version != after or self.ended:
                     return entry
-                await asyncio.wait((news,), timeout=left_s)
+                await news
             finally:
                 self._forget(sensor_id, news)
 

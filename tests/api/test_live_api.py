@@ -6,7 +6,7 @@ import time
 import httpx
 import pytest
 
-from service.api import live
+from service.api import broadcast
 from service.api.track_schemas import LiveView
 from tests.api.serving import problem, recording, serving
 
@@ -129,7 +129,7 @@ def test_a_stream_resumed_at_the_newest_view_does_not_repeat_it(service):
 
 
 def test_a_silent_stream_is_kept_alive_by_comments(service, monkeypatch):
-    monkeypatch.setattr(live, "KEEP_ALIVE_S", 0.05)
+    monkeypatch.setattr(broadcast, "KEEP_ALIVE_S", 0.05)
     service.post("/sensors", json={"sensor_id": "silent"})
     service.get("/sensors/silent/live?after=0&wait=10")
     with service.client.stream("GET", "/api/v1/sensors/silent/live/stream") as reply:
