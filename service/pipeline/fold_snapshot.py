@@ -25,7 +25,7 @@ from service.tracking import snapshot
 from service.traffic.monitor import TrafficState
 from service.traffic.parameters import traffic_setup
 
-VERSION = 2
+VERSION = 3
 _MAGIC = b"WSFS"
 _HEADER = struct.Struct("<4sHI16s")
 # On a recorded scene 701 kB become 65 kB in 2.5 ms (the maps are mostly empty); more gains little.

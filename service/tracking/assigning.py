@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.association import marginals
+from service.tracking.association_methods import associate
 from service.tracking.boxes import (
     BCOS,
     BGROW_FAR,
@@ -121,7 +121,7 @@ def assign(
         box, group, measured, boxes, z_hat, S_prior, pd,
         (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate),
     )  # fmt: skip
-    joint = marginals(log_weight, np.log1p(-pd), temper=b.temper)
+    joint = associate(b.association, log_weight, np.log1p(-pd), temper=b.temper)
     zs, Rs, beta, own = _padded(box, group, z, R, measured, joint.beta, len(tracks))
     return Assignment(zs, Rs, beta, joint.miss, own, owner, joint.components, joint.approximated)
 

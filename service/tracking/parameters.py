@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from service.errors import InvalidInput
+from service.tracking.association_methods import check_method
 from service.tracking.births import BirthParameters
 from service.tracking.clustering_parameters import ClusteringParameters
 from service.tracking.clutter import ClutterParameters
@@ -23,6 +24,7 @@ from service.tracking.existence import ExistenceParameters
 from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
+from service.tracking.recovery import RecoveryParameters
 from service.tracking.road_map import RoadMapParameters
 
 T = TypeVar("T")
@@ -66,6 +68,7 @@ class AssociationParameters:
         1e-5  # density of measurements that are of no track, in the plane and in Doppler
     )
     clutter_per_m2: float = 3e-4  # the same for a radar without Doppler
+    association: str = "jpda"  # or "maximum-probability"
     temper: float = 1.0  # power of the joint weights of contested components; 1: none
     doppler_noise_factor: float = 1.3  # wheels and turning bodies spread the Doppler of a vehicle's points
     doppler_floor_mps: float = 0.05
@@ -74,6 +77,10 @@ class AssociationParameters:
     widen_velocity_m2ps2: float = 0.5
     off_road_range_m: float = 140.0  # farther out the road map has not been taught
     birth_accel_std_mps2: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Raise InvalidInput when there is no such association."""
+        check_method(self.association)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +99,12 @@ class TrackerParameters:
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
     road: RoadMapParameters = field(default_factory=RoadMapParameters)
+    # at 20 Hz a lost track lives for a quarter of a second: three scans, anywhere within near_m
+    recovery: RecoveryParameters = field(
+        default_factory=lambda: RecoveryParameters(
+            after=3, horizon=3, near_d2=400.0, near_m=4.0, speed_min_mps=2.0
+        )
+    )
 
     def with_setting(self, key: str, text: str) -> TrackerParameters:
         """Return a copy with one dotted key set from its text, such as ("clustering.window_frames", "6").

@@ -16,6 +16,7 @@ import numpy as np
 from service.tracking.boxes import POINT_COLUMNS
 from service.tracking.clutter import ClutterMap
 from service.tracking.model import F64, I64, U8, Bool, TrackStatus
+from service.tracking.recovery import TrailBook
 from service.tracking.road_map import RoadMap
 
 _TENTATIVE = int(TrackStatus.TENTATIVE)  # numpy compares with a member of an enumeration ten times slower
@@ -136,6 +137,7 @@ class TrackerState:
     time_us: int  # of the newest frame or tick; meaningless while frames == 0
     range_seen_min_m: float
     echo_reference_db: float  # running mean echo of confirmed vehicles
+    trails: TrailBook  # where the tracks were measured lately, for the FIR recovery
 
     @property
     def idle(self) -> bool:

@@ -23,6 +23,8 @@ from service.tracking.merging import merge
 from service.tracking.model import F32, F64, I64, U8, Bool, Frame, StepReport, TrackEstimates, TrackStatus
 from service.tracking.parameters import TrackerParameters
 from service.tracking.points import point_array
+from service.tracking.recovering import Seen, recover
+from service.tracking.recovery import TrailBook, no_book
 from service.tracking.starting import find_births, start
 from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks
 
@@ -41,7 +43,7 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
         tracks=no_tracks(0), window=empty_window(), standing_window=empty_window(), frame_times_us=(),
         clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="",
         next_number=1, frames=0, time_us=0,
-        range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0,
+        range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0, trails=no_book(),
     )  # fmt: skip
 
 
@@ -60,7 +62,7 @@ def step(
     label = _cluster(window, frame.time_us, p)
     new = len(window.time_us) - len(points)
 
-    tracks, assignment = _track(state, bank, points, label[new:], frame.time_us, p)
+    tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p)
     owned = assignment.owner >= 0
     sure = np.concatenate((tracks.confirmed, _NOBODY))[assignment.owner]
     window = Window(
@@ -72,7 +74,11 @@ def step(
     tracks, drop = merge(tracks, p.merging)
     merged = int(np.count_nonzero(drop))
     state = replace(
-        state, tracks=tracks.take(~drop) if merged else tracks, window=window, echo_reference_db=reference
+        state,
+        tracks=tracks.take(~drop) if merged else tracks,
+        window=window,
+        echo_reference_db=reference,
+        trails=trails,
     )
     born = find_births(state, label, free, points, frame.time_us, p)
     state = replace(
@@ -113,7 +119,7 @@ def coast(
     state = replace(
         state, tracks=tracks, time_us=time_us, window=empty_window(), standing_window=empty_window()
     )
-    return replace(state, frame_times_us=()), estimates(tracks), StepReport(deleted=ended)
+    return replace(state, frame_times_us=(), trails=no_book()), estimates(tracks), StepReport(deleted=ended)
 
 
 def estimates(tracks: Tracks) -> TrackEstimates:
@@ -218,10 +224,10 @@ def _cluster(window: Window, time_us: int, p: TrackerParameters) -> I64:
 
 def _track(
     state: TrackerState, bank: Filter, points: F64, label: I64, time_us: int, p: TrackerParameters
-) -> tuple[Tracks, Assignment]:
-    """Return the tracks after prediction, association and update, with the association."""
-    tracks = state.tracks
-    prediction = bank.predict(_filter_state(tracks), _dt_s(state, time_us))
+) -> tuple[Tracks, Assignment, TrailBook]:
+    """Return the tracks after prediction, association, update and recovery, the association, the trails."""
+    tracks, dt_s = state.tracks, _dt_s(state, time_us)
+    prediction = bank.predict(_filter_state(tracks), dt_s)
     prediction = replace(prediction, noise=_widened(prediction.noise, tracks, p))
     cov = prediction.cov
     boxes = box_array(tracks, prediction.mean, cov, p)
@@ -232,8 +238,10 @@ def _track(
     )
     after = bank.update(prediction, a.z, a.R, a.beta, a.miss)
     tracks = tracks.but(mean=after.mean, cov=after.cov, memory=after.memory)
+    seen = Seen(points, label, boxes, dt_s, state.range_seen_min_m)
+    tracks, a, trails = recover(tracks, a, seen, bank, state.trails, p)
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
-    return extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent), a
+    return extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent), a, trails
 
 
 def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from service.errors import InvalidInput
 from service.tracking import snapshot
 from service.tracking.model import Frame, TrackStatus
 from service.tracking.parameters import TrackerParameters
@@ -234,3 +235,78 @@ def test_empty_frames_and_an_empty_start_are_fine():
 
     assert state.idle
     assert all(len(e) == 0 for e in outputs)
+
+
+def leaping(rng, sideways_m):
+    """A car that its track loses: it is suddenly beside where it was."""
+    frames = [frame(k, vehicle(rng, 3.5, 110.0 - 0.75 * k, 0.0, -15.0)) for k in range(60)]
+    return frames + [
+        frame(k, vehicle(rng, 3.5 + sideways_m, 110.0 - 0.75 * k, 0.0, -15.0)) for k in range(60, 100)
+    ]
+
+
+def with_recovery():
+    parameters = TrackerParameters()
+    return dataclasses.replace(parameters, recovery=dataclasses.replace(parameters.recovery, enabled=True))
+
+
+def test_the_recovery_lets_a_lost_car_keep_its_number(rng):
+    frames = leaping(rng, 3.0)
+
+    _, without = run(frames)
+    _, recovered = run(frames, with_recovery())
+
+    assert numbers(without) == [1, 2]
+    assert numbers(recovered) == [1]
+    assert recovered[-1].x_m[0] == pytest.approx(6.5, abs=0.4)
+    assert recovered[-1].vy_mps[0] == pytest.approx(-15.0, abs=0.4)
+
+
+def test_the_recovery_changes_nothing_while_no_track_is_lost(rng):
+    frames = [
+        frame(
+            k, vehicle(rng, 3.5, 120.0 - 0.75 * k, 0.0, -15.0), vehicle(rng, 0.0, 90.0 - 0.6 * k, 0.0, -12.0)
+        )
+        for k in range(80)
+    ]
+
+    _, without = run(frames)
+    _, recovered = run(frames, with_recovery())
+
+    for one, other in zip(without, recovered, strict=True):
+        np.testing.assert_array_equal(one.x_m, other.x_m)
+
+
+def test_a_snapshot_in_the_middle_of_a_loss_goes_on_alike(rng):
+    frames, parameters = leaping(rng, 3.0), with_recovery()
+    state, _ = run(frames[:63], parameters)
+    assert state.trails.trail.empty.any()
+
+    restored = snapshot.load(TrackerState, snapshot.dump(state))
+
+    after, again = run(frames[63:], parameters, state)[1], run(frames[63:], parameters, restored)[1]
+    assert numbers(after) == [1]
+    for one, other in zip(after, again, strict=True):
+        np.testing.assert_array_equal(one.x_m, other.x_m)
+
+
+def test_association_by_maximum_probability_gives_each_track_one_measurement(rng):
+    frames = [
+        frame(
+            k,
+            vehicle(rng, 1.75, 120.0 - 0.75 * k, 0.0, -15.0),
+            vehicle(rng, -1.75, 120.0 - 0.75 * k, 0.0, -15.0),
+        )
+        for k in range(100)
+    ]
+    parameters = TrackerParameters().with_setting("boxes.association", "maximum-probability")
+
+    _, outputs = run(frames, parameters)
+
+    assert len(numbers(outputs)) == 2
+    assert sorted(outputs[-1].x_m.tolist()) == pytest.approx([-1.75, 1.75], abs=0.4)
+
+
+def test_an_unknown_association_is_refused():
+    with pytest.raises(InvalidInput, match="known are jpda, maximum-probability"):
+        TrackerParameters().with_setting("boxes.association", "nearest")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from service.evaluation.reproduce import hpff_targets
 from service.evaluation.reproduce.clutter_study import Case, Drives, Summary, drive, summarise
 from service.evaluation.reproduce.form import (
     Bar,
@@ -82,10 +83,18 @@ def reproduce(settings: Settings) -> Reproduction:
     sweep = _sweep(settings)
     covariance = _covariance_table(settings)
     settings.advance("covariance of the FIR filter")
-    tables = (*_paper_tables(fitted, literal), _rivals(fitted), sweep, covariance)
+    several = hpff_targets.study(settings)
+    tables = (
+        *_paper_tables(fitted, literal),
+        _rivals(fitted),
+        sweep,
+        covariance,
+        hpff_targets.table(several),
+    )
+    bars = (*_bars(fitted, covariance), *hpff_targets.bars(several))
     return Reproduction(
         "hpff", CITATION, settings.runs, settings.seed, (*tables, NO_RESULTS[0]),
-        (*NO_RESULTS[1:], *_figures(examples)), _bars(fitted, covariance), HOLDS, FAILS, CHANGED,
+        (*NO_RESULTS[1:], *_figures(examples)), bars, HOLDS, FAILS, CHANGED,
     )  # fmt: skip
 
 
@@ -285,4 +294,4 @@ def _example(number: str, title: str, motion: str, studied: Studied, *, rescued:
     return Figure(number, title, Kind.SIMULATED, panels, f"Run {one}, {int(resets[one])} resets.")
 
 
-HPFF = Paper("hpff", 2000, 2 * len(PAPER) + len(_SWEEP) + 1, reproduce)
+HPFF = Paper("hpff", 2000, 2 * len(PAPER) + len(_SWEEP) + 1 + hpff_targets.STEPS, reproduce)

@@ -71,7 +71,7 @@ def pdaf(track: SingleTrack, returns: Returns, p: SingleTargetParameters) -> Sin
     e, S_inv, det, d2 = distances(mean, cov, returns)
     gated = d2 <= p.gate
     beta = _probabilities(d2, det, returns, gated, p)
-    mean, cov = _weighted_update(mean, cov, e, S_inv, beta)
+    mean, cov = weighted_update(mean, cov, e, S_inv, beta)
     unset = np.zeros(mean.shape[:-1], np.bool_)
     return SingleTrack(mean, cov, _remember(track.window, mean, cov, returns), gated, unset)
 
@@ -83,7 +83,7 @@ def nnsf(track: SingleTrack, returns: Returns, p: SingleTargetParameters) -> Sin
     gated = d2 <= p.gate
     nearest = np.arange(d2.shape[-1]) == d2.argmin(axis=-1)[..., None]
     beta = (gated & nearest).astype(np.float64)
-    mean, cov = _weighted_update(mean, cov, e, S_inv, beta)
+    mean, cov = weighted_update(mean, cov, e, S_inv, beta)
     unset = np.zeros(mean.shape[:-1], np.bool_)
     return SingleTrack(mean, cov, _remember(track.window, mean, cov, returns), gated, unset)
 
@@ -132,7 +132,7 @@ def _probabilities(d2: F64, det: F64, returns: Returns, gated: Bool, p: SingleTa
     return np.asarray(likelihood / (none + likelihood.sum(axis=-1, keepdims=True)))
 
 
-def _weighted_update(mean: F64, cov: F64, e: F64, S_inv: F64, beta: F64) -> tuple[F64, F64]:
+def weighted_update(mean: F64, cov: F64, e: F64, S_inv: F64, beta: F64) -> tuple[F64, F64]:
     """Return the moment-matched update of predictions (eq. 17-22); what beta lacks to one is no return."""
     y = (S_inv @ e[..., None])[..., 0]
     d = (beta[..., None] * y).sum(axis=-2)
