@@ -9,6 +9,7 @@ EXPECTED = {
         {f"Table {k}" for k in range(1, 5)},
         {f"Figure {k}" for k in (3, 4, 5, 7, 8, 10, 11, 12)},
     ),
+    "mast-ukf": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in (1, 2, 3, 7)}),
     "hpff": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in range(4, 8)}),
 }
 
