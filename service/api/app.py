@@ -18,6 +18,7 @@ from service.api import (
     frames,
     health,
     keys,
+    lanes,
     live,
     openapi,
     problems,
@@ -73,7 +74,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
     )
-    for module in (frames, live, tracks, sensors, events, keys, audit, health, reference, dashboard):
+    for module in (frames, live, tracks, lanes, sensors, events, keys, audit, health, reference, dashboard):
         app.include_router(module.router)
     app.router.default = dashboard.Dashboard()
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way

@@ -45,6 +45,7 @@ SENSOR_REPLY: Final = SENSOR | {
     },
     "detection_threshold_db": 12.0,
     "parameters": {},
+    "lanes": {"mode": "learned", "lanes": [], "names": {}, "accepted": None},
     "revision": 1,
     "created": TIME,
     "updated": TIME,
@@ -234,6 +235,53 @@ PROBLEM: Final = {
     "request_id": "3f0c9a51b2d84e76",
     "errors": [{"pointer": "/detections/2/azimuth_deg", "detail": "want a number from -180 to 180, got 181"}],
 }
+LANE: Final = {
+    "lane_id": "L2",
+    "index": 2,
+    "name": "left",
+    "kind": "lane",
+    "direction": "approaching",
+    "points_m": [[0.04, 150.2], [-0.03, 84.0], [0.01, 20.4]],
+    "width_m": [3.5, 3.49, 3.5],
+    "left_m": [[1.79, 150.2], [1.71, 84.0], [1.76, 20.4]],
+    "right_m": [[-1.71, 150.2], [-1.77, 84.0], [-1.74, 20.4]],
+    "length_m": 129.8,
+    "confidence": 0.91,
+    "vehicles": 22,
+    "coordinates": [[8.0000004, 52.0013503], [8.0, 52.0007551], [8.0, 52.0001834]],
+}
+LANE_MAP: Final = {
+    "sensor_id": "radar-1",
+    "version": "1-3",
+    "since": TIME,
+    "frame": 904,
+    "vehicles": 54,
+    "source": "learned",
+    "mode": "learned",
+    "accepted": True,
+    "lanes": [LANE],
+}
+LANE_VERSION: Final = {
+    "version": "1-3",
+    "since": TIME,
+    "frame": 904,
+    "vehicles": 54,
+    "source": "learned",
+    "lanes": 3,
+    "turns": 0,
+    "change": {"added": ["L3"], "removed": [], "moved_m": {"L1": 0.31}, "longer_m": {}},
+}
+LANE_CHANGE: Final = {
+    "timestamp": TIME,
+    "decided_at": TIME,
+    "track_id": "radar-1-1-3",
+    "from_lane": "L1",
+    "to_lane": "L2",
+    "x_m": 1.743,
+    "y_m": 84.2,
+    "speed_mps": 16.8,
+    "map_version": "1-3",
+}
 
 
 def _page(item: object) -> dict[str, object]:
@@ -249,6 +297,14 @@ REQUESTS: Final[dict[str, dict[str, object]]] = {
     "post_frame": {"columnar": FRAME, "row-wise": FRAME_ROWS},
     "post_frames": {"batch": [FRAME, FRAME_ROWS | {"frame": 2}]},
     "create_key": {"key of one radar": KEY},
+    "control_lanes": {
+        "keep a version": {"action": "pin", "version": "1-3"},
+        "name a lane": {"action": "rename", "names": {"L2": "left"}},
+        "draw one lane": {
+            "action": "replace",
+            "lanes": [{"index": 1, "points_m": [[0.0, 150.0], [0.0, 20.0]], "width_m": 3.5}],
+        },
+    },
 }
 RESPONSES: Final[dict[str, object]] = {
     "create_site": SITE_REPLY,
@@ -266,6 +322,10 @@ RESPONSES: Final[dict[str, object]] = {
     "read_track": TRACK,
     "read_track_states": _page(STATE),
     "read_events": _page(EVENT),
+    "read_lanes": LANE_MAP,
+    "read_lane_versions": _page(LANE_VERSION),
+    "control_lanes": {"mode": "learned", "lanes": [], "names": {"L2": "left"}, "accepted": "1-3"},
+    "read_lane_changes": _page(LANE_CHANGE),
     "create_key": KEY_REPLY | {"secret": "Zx3vYkq0bX0mYw1pJ2u3VtQe5rS7aHc9dLfGiKjNoPM"},
     "rotate_key": KEY_REPLY | {"secret": "b7T1wqJm2KfQx9RzL4vNc8YhUe5sPdAi3GoXtBnMkWE", "rotated": TIME},
     "list_keys": _page(KEY_REPLY),

@@ -24,6 +24,7 @@ TAGS = (
     ("frames", "Detections in."),
     ("live", "The newest tracks: polled, long-polled or streamed."),
     ("tracks", "Stored tracks and their states."),
+    ("lanes", "The lane map, learned from traffic or drawn by a user, and lane changes."),
     ("events", "What happened at a sensor."),
     ("keys", "API keys."),
     ("session", "A browser's session."),

@@ -136,11 +136,16 @@ def change_sensor(
     caller: AdminKey,
 ) -> SensorReply:
     """Change a sensor by a JSON merge patch (RFC 7396); the tracker takes it over between two frames."""
+    return SensorReply.of(change_config(services, sensor_id, patch, caller))
+
+
+def change_config(services: Services, sensor_id: str, patch: JsonObject, caller: Caller) -> store.Sensor:
+    """Change a sensor by a JSON merge patch, for good and for the tracker; raises InvalidInput, NotFound."""
     with session_scope(services.engine) as writer:
         sensor = _change(writer, sensor_id, patch)
         _note(writer, caller, "sensor.changed", sensor_id, patch)
     services.host.configure(sensor)
-    return SensorReply.of(sensor)
+    return sensor
 
 
 @router.delete("/sensors/{sensor_id}", status_code=status.HTTP_204_NO_CONTENT, tags=["sensors"])

@@ -11,7 +11,6 @@ import orjson
 from service.cli.output import json_text
 from service.formats.georeference import pose_of
 from service.formats.lanes import lane_fields, lanes_geojson
-from service.formats.rfc3339 import format_time
 
 if TYPE_CHECKING:
     from service.formats.sensor import SensorConfig
@@ -55,20 +54,7 @@ def write_lanes(folder: Path, config: SensorConfig, end: FoldState[Any]) -> dict
 
 def change_lines(changes: Iterable[LaneChangeRow]) -> bytes:
     """Return changes.jsonl, by the time of crossing the boundary."""
+    from service.api.lane_schemas import LaneChangeReply
+
     ordered = sorted(changes, key=lambda row: (row.time_us, row.key.epoch, row.key.number))
-    return b"".join(orjson.dumps(change_fields(row)) + b"\n" for row in ordered)
-
-
-def change_fields(row: LaneChangeRow) -> dict[str, object]:
-    """Return a lane change as files and the API give it."""
-    return {
-        "timestamp": format_time(row.time_us),
-        "decided_at": format_time(row.decided_us),
-        "track_id": str(row.key),
-        "from_lane": f"L{row.from_lane}",
-        "to_lane": f"L{row.to_lane}",
-        "x_m": round(row.x_m, 3) + 0.0,
-        "y_m": round(row.y_m, 3) + 0.0,
-        "speed_mps": round(row.speed_mps, 3),
-        "map_version": row.map_version,
-    }
+    return b"".join(orjson.dumps(LaneChangeReply.of(row).model_dump()) + b"\n" for row in ordered)

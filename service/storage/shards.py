@@ -15,6 +15,7 @@ from service.errors import StorageError
 from service.storage.counts import save_counts
 from service.storage.database import insert_or_ignore
 from service.storage.events import save_events
+from service.storage.lanes import save_lane_changes, save_lane_maps
 from service.storage.rows import EventRow, Rows
 from service.storage.sites import ordinal_of
 from service.storage.tables import shards, snapshots
@@ -110,6 +111,8 @@ def save_flush(connection: Connection, shard: Shard, position: int, rows: Rows, 
     save_blocks(connection, rows.blocks, now_us=now_us)
     save_summaries(connection, rows.tracks, now_us=now_us)
     save_events(connection, rows.events, now_us=now_us)
+    save_lane_maps(connection, rows.lane_maps)
+    save_lane_changes(connection, rows.lane_changes, now_us=now_us)
     save_counts(connection, rows.crossings, rows.minutes, rows.cells, now_us=now_us)
     return Shard(shard.sensor_id, shard.epoch, shard.epoch_first_position, cursor, shard.snapshot)
 

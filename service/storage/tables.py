@@ -249,3 +249,38 @@ manual_counts = Table(
     Column("updated_us", BigInteger, nullable=False),
     PrimaryKeyConstraint("sensor", "start_us", "interval_s", "line_id", "lane", "direction", "length_class"),
 )
+
+# The lanes of a sensor from a moment on. Kept for good: counts and changes name the map that they used.
+lane_maps = Table(
+    "lane_maps",
+    metadata,
+    Column("sensor", Integer, ForeignKey("sensors.ordinal"), nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("time_us", BigInteger, nullable=False),
+    Column("frame", BigInteger, nullable=False),
+    Column("vehicles", Integer, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("lanes", Text, nullable=False),  # formats.lanes.lanes_json
+    PrimaryKeyConstraint("sensor", "epoch", "version"),
+)
+
+lane_changes = Table(
+    "lane_changes",
+    metadata,
+    Column("sensor", Integer, ForeignKey("sensors.ordinal"), nullable=False),
+    Column("epoch", Integer, nullable=False),
+    Column("number", BigInteger, nullable=False),
+    Column("decided_us", BigInteger, nullable=False),
+    Column("time_us", BigInteger, nullable=False),
+    Column("from_lane", Integer, nullable=False),
+    Column("to_lane", Integer, nullable=False),
+    Column("x_m", Double, nullable=False),
+    Column("y_m", Double, nullable=False),
+    Column("speed_mps", Double, nullable=False),
+    Column("map_version", Integer, nullable=False),
+    Column("stored_day", Integer, nullable=False),
+    PrimaryKeyConstraint("sensor", "epoch", "number", "decided_us"),
+    Index("ix_lane_changes_by_sensor", "sensor", "time_us", "epoch", "number", "decided_us"),
+    Index("ix_lane_changes_stored_day", "stored_day"),
+)

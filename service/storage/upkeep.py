@@ -27,6 +27,7 @@ from service.storage.tables import (
     cell_minutes,
     crossing_blocks,
     events,
+    lane_changes,
     track_states,
     tracks,
     traffic_minutes,
@@ -61,6 +62,7 @@ class Expired:
     state_blocks: int = 0
     tracks: int = 0
     events: int = 0
+    lane_changes: int = 0
     counts: int = 0  # minutes of crossings, of frames received and of Edie's sums
     partitions: int = 0  # of PostgreSQL, dropped whole; their blocks are not counted
 
@@ -82,6 +84,7 @@ def keep_up(engine: Engine, retention: Retention, *, now_us: int) -> Expired:
         state_blocks=_expire(engine, track_states, oldest_states),
         tracks=_expire(engine, tracks, today - retention.tracks_days),
         events=_expire(engine, events, today - retention.events_days),
+        lane_changes=_expire(engine, lane_changes, today - retention.counts_days),
         counts=sum(
             _expire(engine, table, today - retention.counts_days)
             for table in (crossing_blocks, traffic_minutes, cell_minutes)

@@ -5,12 +5,12 @@ import re
 import pytest
 from pydantic import TypeAdapter
 
-from service.api import examples, schemas, track_schemas
+from service.api import examples, lane_schemas, schemas, track_schemas
 from service.api.openapi import operations
 from service.api.problems import Problem
 from service.api.schemas import Page
 from service.formats.json_frames import parse_frame
-from service.formats.sensor import SensorConfig
+from service.formats.sensor import LaneControl, SensorConfig
 
 MODELS = {
     "create_site": schemas.SiteReply,
@@ -24,6 +24,10 @@ MODELS = {
     "post_frame": track_schemas.FrameReply,
     "post_frames": track_schemas.BatchReply,
     "read_live": track_schemas.LiveView,
+    "read_lanes": lane_schemas.LaneMapReply,
+    "read_lane_versions": Page[lane_schemas.LaneVersionReply],
+    "control_lanes": LaneControl,
+    "read_lane_changes": Page[lane_schemas.LaneChangeReply],
     "read_tracks": Page[track_schemas.TrackReply],
     "read_track": track_schemas.TrackReply,
     "read_track_states": Page[track_schemas.StateReply],
