@@ -9,6 +9,7 @@ import typer
 from service import __version__
 from service.cli import key, sensor
 from service.cli.bench import bench
+from service.cli.compare import compare
 from service.cli.demo import demo
 from service.cli.evaluate import evaluate
 from service.cli.migrate import migrate
@@ -24,7 +25,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (demo, serve, track, replay, simulate, evaluate, reproduce, bench, migrate):
+for command in (demo, serve, track, replay, simulate, evaluate, compare, reproduce, bench, migrate):
     app.command()(command)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")

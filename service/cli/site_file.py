@@ -29,7 +29,7 @@ def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str
 
 def with_settings(config: SensorConfig, filter_name: str | None, settings: Sequence[str]) -> SensorConfig:
     """Return the configuration with another filter and KEY=VALUE settings; raises InvalidInput."""
-    changes: dict[str, object] = {"parameters": config.parameters | dict(_setting(text) for text in settings)}
+    changes: dict[str, object] = {"parameters": config.parameters | dict(setting(text) for text in settings)}
     if filter_name is not None:
         changes["filter"] = filter_name
     config = config.model_copy(update=changes)
@@ -39,7 +39,8 @@ def with_settings(config: SensorConfig, filter_name: str | None, settings: Seque
     return config
 
 
-def _setting(text: str) -> tuple[str, str]:
+def setting(text: str) -> tuple[str, str]:
+    """Return key and value of KEY=VALUE; raises InvalidInput."""
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise InvalidInput(f"--set wants KEY=VALUE, got {text!r}")

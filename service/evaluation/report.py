@@ -72,6 +72,12 @@ def by_scene(results: Sequence[Mapping[str, Value]], measures: Sequence[Measure]
     return Grid(("scene", *(measure.short for measure in measures)), rows)
 
 
+def cells(result: Mapping[str, Value], measures: Sequence[Measure]) -> tuple[str, ...]:
+    """Return the values of a result as they stand in a table."""
+    full = with_rates(result)
+    return tuple(_cell(full, measure) for measure in measures)
+
+
 def by_measure(results: Sequence[Mapping[str, Value]], measures: Sequence[Measure] = MEASURES) -> Grid:
     """Return one row for each measure that any result has, its bars, and one column for each result."""
     full = [with_rates(result) for result in results]

@@ -48,11 +48,14 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
 
 
 def step(
-    state: TrackerState, frame: Frame, parameters: TrackerParameters
+    state: TrackerState, frame: Frame, parameters: TrackerParameters, bank: Filter | None = None
 ) -> tuple[TrackerState, TrackEstimates, StepReport]:
-    """Fold one frame, later than all before it; return the state, the confirmed tracks and the counts."""
+    """Fold one frame, later than all before it; return the state, the confirmed tracks and the counts.
+
+    bank: the filter itself, for who wants to watch it; None: the one that the parameters name.
+    """
     p = parameters
-    bank = make_filter(p.filter, p.filters)
+    bank = bank or make_filter(p.filter, p.filters)
     state = _with_filter(state, bank)
     points = point_array(frame, p.sensor)
     usable, standing, no_birth = _sort_points(state, points, p)

@@ -103,7 +103,7 @@ class UkfParameters:
 class StUkfParameters:
     """ST-UKF and AST-UKF: one fading factor. "MAST" below is Appl. Sci. 2025, 15, 3276."""
 
-    accel_std_mps2: float = 0.177
+    accel_std_mps2: float = 0.10  # smaller than for a filter that cannot fade; study
     accel_tau_s: float | None = 1.3
     spread: float = 1.0
     forgetting: float = 0.95  # [rho] MAST, eq. 22
@@ -117,7 +117,7 @@ class StUkfParameters:
 class MastUkfParameters:
     """MAST-UKF: factors D on Q for each axis and J on R for each channel; gains are per frame of 0.05 s."""
 
-    accel_std_mps2: float = 0.177
+    accel_std_mps2: float = 0.10  # smaller than for a filter that cannot fade; study
     accel_tau_s: float | None = 1.3
     spread: float = 1.0
     form: str = "safe"  # "paper" and "printed" are for comparison: they lose manoeuvring targets
@@ -173,13 +173,15 @@ class SageHusaParameters:
 class ImmParameters:
     """Interacting models: cruise (constant velocity), accelerate (damped constant acceleration), turn."""
 
-    velocity_density_m2ps3: float = 0.05  # white acceleration while cruising
-    accel_std_mps2: float = 0.95
-    accel_tau_s: float | None = 1.8
-    turn_std_mps2: float = 0.2
-    cruise_s: float = 8.6  # how long each lasts on average
-    accelerate_s: float = 1.2
-    turn_s: float = 0.6
+    velocity_density_m2ps3: float = (
+        0.066  # white acceleration while cruising; this and below: search on the study
+    )
+    accel_std_mps2: float = 0.82
+    accel_tau_s: float | None = 3.2
+    turn_std_mps2: float = 0.08
+    cruise_s: float = 29.0  # how long each lasts on average
+    accelerate_s: float = 3.4
+    turn_s: float = 1.5
     robust_gate: float | None = 16.0
     gate_release_frames: int | None = 3
 

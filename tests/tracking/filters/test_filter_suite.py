@@ -13,6 +13,7 @@ import pytest
 
 from service.evaluation.monte_carlo import (
     Runs,
+    error_squared,
     lost,
     peak_position_error,
     position_and_velocity_rmse,
@@ -30,6 +31,7 @@ from service.tracking.filters.parameters import (
 )
 from service.tracking.filters.strong_tracking import Astekf
 from service.tracking.filters.strong_tracking_paper import AstekfPaper, Stekf
+from service.tracking.motion import constant_acceleration
 
 pytestmark = pytest.mark.slow
 
@@ -185,3 +187,52 @@ def test_the_paper_s_forms_give_the_paper_s_range_columns_for_motion_2():
     assert y <= 0.93 * stekf[0]
     assert vy <= 0.80 * stekf[1]
     assert vy <= 0.73 * ekf[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "position", "velocity"),
+    [
+        ("cruise", 0.38, 0.42),
+        ("lane change", 0.41, 0.65),
+        ("braking 6", 0.47, 1.45),
+        ("stop and go", 0.46, 1.45),  # 1.36; 1.27 was wished for, which the IMM reaches here
+    ],
+)
+def test_everyday_manoeuvres_are_followed_this_well(flown, name, position, velocity):
+    measured = errors(flown["clean"][0])[name]
+
+    assert measured[0] <= position
+    assert measured[1] <= velocity
+
+
+def test_doppler_is_worth_a_quarter_of_the_position_and_half_of_the_velocity(flown):
+    with_it, without = (geometric_mean(errors(flown[cell][0])) for cell in ("doppler", "clean"))
+
+    assert with_it[0] <= 0.82 * without[0]
+    assert with_it[1] <= 0.60 * without[1]
+
+
+@pytest.mark.parametrize(
+    ("noise", "least", "most"), [(CLEAN, 1.85, 2.10), (DOPPLER, 2.80, 3.15)], ids=["two channels", "three"]
+)
+def test_from_a_matched_start_innovations_and_errors_are_as_large_as_it_says(noise, least, most):
+    rng = np.random.default_rng(24)
+    P0 = np.diag([1.0, 0.1, 0.01] * 2)
+    starts = rng.multivariate_normal(np.zeros(6), P0, 100)
+    steps = np.stack([np.linalg.matrix_power(constant_acceleration(PERIOD_S, 0.0).F, k) for k in range(251)])
+    truth = np.einsum("kij,nj->kni", steps, motion_1()[0] + starts)  # motion 1 from N(x0, P0)
+    z = measure(truth, noise, rng)
+    chosen = Astekf()
+    start = chosen.start(np.repeat(motion_1()[:1], 100, axis=0), np.broadcast_to(P0, (100, 6, 6)))
+
+    runs = run_filter(chosen, z, noise.covariance(), PERIOD_S, start, with_nis=True)
+
+    assert least <= np.nanmean(runs.nis) <= most
+    assert 3.0 <= error_squared(runs, truth, 1).mean() <= 6.0
+
+
+@pytest.mark.parametrize(("cell", "most"), [("clean", 15.0), ("doppler", 11.0)])
+def test_over_the_suite_it_is_not_much_too_sure(flown, cell, most):
+    nees = [error_squared(*flown[cell][0][name], AFTER).mean() for name in SUITE]
+
+    assert np.mean(nees) <= most
