@@ -288,16 +288,19 @@ def main() -> None:
     }
     wanted = set(options.part.split(","))
     wanted |= {"levels"} if "following" in wanted else set()
-    found = {name: make() for name, make in parts.items() if name in wanted}
-    for name, rows in found.items():
+    found: dict[str, list[dict[str, object]]] = {}
+    for name, make in parts.items():
+        if name not in wanted:
+            continue
+        found[name] = make()
         print(f"\n## {name}\n")
         if name == "suite":
-            print(markdown(suite_table(rows)))
+            print(markdown(suite_table(found[name])), flush=True)
         else:
-            print_table(rows)
-    if options.json:
-        content = {"runs": options.runs, "seeds": list(seeds), **found}
-        options.json.write_text(json.dumps(content, indent=1, default=float) + "\n")
+            print_table(found[name])
+        if options.json:  # after each part: all of them take a while
+            content = {"runs": options.runs, "seeds": list(seeds), **found}
+            options.json.write_text(json.dumps(content, indent=1, default=float) + "\n")
 
 
 if __name__ == "__main__":

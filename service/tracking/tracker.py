@@ -167,8 +167,11 @@ def _listed(
 
 
 def _with_filter(state: TrackerState, bank: Filter) -> TrackerState:
-    """Return the state with tracks of this filter's shape; a new filter starts from mean and covariance."""
-    if state.filter == bank.name:
+    """Return the state with tracks of this filter's shape; a new filter starts from mean and covariance.
+
+    The same filter with other options may remember other things; then it starts anew, too.
+    """
+    if state.filter == bank.name and state.tracks.memory.shape[1] == bank.memory_size:
         return state
     if not len(state.tracks):
         return replace(state, tracks=no_tracks(bank.memory_size), filter=bank.name)

@@ -9,6 +9,7 @@ import pytest
 
 from service.errors import InvalidInput
 from service.tracking import snapshot
+from service.tracking.filters.registry import filter_names, make_filter
 from service.tracking.model import Frame, TrackStatus
 from service.tracking.parameters import TrackerParameters
 from service.tracking.tracker import TrackerState, coast, initial_state, step
@@ -178,7 +179,7 @@ def test_a_turned_mount_is_turned_back(rng):
     assert outputs[-1].x_m[0] == pytest.approx(0.0, abs=0.4)
 
 
-@pytest.mark.parametrize("name", ["astekf", "ekf", "stekf", "astekf-paper"])
+@pytest.mark.parametrize("name", filter_names())
 def test_every_filter_by_name_tracks(rng, name):
     p = dataclasses.replace(TrackerParameters(), filter=name)
 
@@ -195,6 +196,29 @@ def test_a_change_of_filter_between_two_frames_keeps_the_tracks(rng):
     _, after = run(frames[40:], dataclasses.replace(TrackerParameters(), filter="ekf"), state)
 
     assert numbers(before) == numbers(after)
+
+
+def test_a_filter_whose_options_change_what_it_remembers_keeps_the_tracks(rng):
+    frames = [frame(k, vehicle(rng, 3.5, 120.0 - 0.75 * k, 0.0, -15.0)) for k in range(80)]
+    safe = dataclasses.replace(TrackerParameters(), filter="mast-ukf")
+    state, before = run(frames[:40], safe)
+
+    state, after = run(frames[40:], safe.with_setting("filters.mast_ukf.form", "paper"), state)
+
+    assert numbers(before) == numbers(after)
+    assert state.tracks.memory.shape[1] > 60
+
+
+def test_the_models_of_an_imm_follow_what_the_tracker_learns_between_frames(rng):
+    p = dataclasses.replace(TrackerParameters(), filter="imm")
+    models = make_filter("imm")
+
+    state, _ = run([frame(k, vehicle(rng, 3.5, 120.0 - 0.75 * k, 0.0, -15.0)) for k in range(60)], p)
+
+    mixture = models.unpacked(state.tracks.memory)
+    moved = mixture.moved_to(state.tracks.mean, state.tracks.cov)
+    assert not np.array_equal(mixture.moments()[0], state.tracks.mean)  # heading and length moved it
+    np.testing.assert_allclose(moved.moments()[0], state.tracks.mean, atol=1e-9)
 
 
 def test_the_order_of_points_in_a_frame_does_not_matter(rng):
