@@ -10,6 +10,10 @@ EXPECTED = {
         {f"Figure {k}" for k in (3, 4, 5, 7, 8, 10, 11, 12)},
     ),
     "mast-ukf": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in (1, 2, 3, 7)}),
+    "isrckf": (
+        {"Tables 1, 2", "Figures 7, 8", "Figure 9 in numbers", "Figures 10, 11 in numbers"},
+        {f"Figure {k}" for k in range(5, 12)},
+    ),
     "hpff": ({f"Table {k}" for k in range(1, 7)}, {f"Figure {k}" for k in range(4, 8)}),
 }
 

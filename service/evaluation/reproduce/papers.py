@@ -9,9 +9,12 @@ from service.errors import InvalidInput
 from service.evaluation.reproduce.astekf import ASTEKF
 from service.evaluation.reproduce.form import Paper
 from service.evaluation.reproduce.hpff import HPFF
+from service.evaluation.reproduce.isrckf import ISRCKF
 from service.evaluation.reproduce.mast import MAST_UKF
 
-PAPERS: Mapping[str, Paper] = MappingProxyType({paper.name: paper for paper in (ASTEKF, MAST_UKF, HPFF)})
+PAPERS: Mapping[str, Paper] = MappingProxyType(
+    {paper.name: paper for paper in (ASTEKF, MAST_UKF, ISRCKF, HPFF)}
+)
 
 
 def find_papers(names: Sequence[str]) -> list[Paper]:

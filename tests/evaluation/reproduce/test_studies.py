@@ -1,0 +1,57 @@
+"""The studies behind the papers' tables: their truths, bounds and what they say."""
+
+import numpy as np
+import pytest
+
+from service.evaluation.reproduce.car_study import ENVIRONMENTS, Drives
+from service.evaluation.reproduce.isrckf_states import PRINTED_S, judge
+from service.evaluation.reproduce.mast_study import Reading, fly, least_errors, rms_over_runs
+from service.simulation.turning_target import turning_target
+
+
+def test_the_turning_target_keeps_its_speed_on_its_circles_and_is_pushed_between():
+    truth, steps = turning_target()
+    speed = np.hypot(truth[:, 1], truth[:, 4])
+
+    np.testing.assert_allclose(speed[:76], 70.0)
+    np.testing.assert_allclose(truth[76:101, 1] - truth[75:100, 1], 0.1)
+    np.testing.assert_allclose(speed[100:], speed[100])
+    np.testing.assert_allclose(steps[50] @ truth[49], truth[50], atol=1e-9)
+    heading = np.arctan2(truth[[40, 75], 4], truth[[40, 75], 1])
+    assert (heading[1] - heading[0]) % (2 * np.pi) == pytest.approx(3.5)
+
+
+def test_the_printed_positions_of_the_mast_ukf_paper_are_below_the_bound():
+    x, vx, y, vy = least_errors(Reading(50.0, 0.1, 1.0))
+
+    assert x == pytest.approx(10.1, abs=0.1)  # the paper has 1.75 to 2.32 m
+    assert y == pytest.approx(3.42, abs=0.05)  # 1.01 to 1.34 m
+    assert vx > 0.77
+    assert vy > 0.4456
+
+
+def test_an_imm_of_the_true_motions_stays_above_the_bound_and_near_it():
+    reading = Reading(50.0, 0.1, 1.0)
+    flight = fly(reading, ["UKF"], 8, (3,))
+
+    x = rms_over_runs(flight.squared("UKF")[..., 0])[0]
+
+    assert least_errors(reading)[0] < x < 3.0 * least_errors(reading)[0]
+
+
+def test_the_error_of_a_drive_is_that_of_its_runs():
+    truth = np.zeros((60, 24, 4))
+    off = np.repeat(np.arange(1.0, 13.0), 2)  # two runs of each of twelve drives
+    mean = truth + off[None, :, None]
+
+    drives = Drives(truth, truth[..., :3], {"one": mean})
+
+    np.testing.assert_allclose(drives.rmse("one", 2), np.arange(1.0, 13.0))
+    assert len(ENVIRONMENTS) == 4
+
+
+def test_the_motion_states_change_at_the_papers_times():
+    judged = judge(1)
+
+    assert judged.worst_s <= 0.1
+    assert judged.changes[-1][0] == PRINTED_S[-1][0]
