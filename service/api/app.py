@@ -15,6 +15,7 @@ from service.api import (
     audit,
     dashboard,
     events,
+    flow,
     frames,
     health,
     keys,
@@ -74,7 +75,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
     )
-    for module in (frames, live, tracks, lanes, sensors, events, keys, audit, health, reference, dashboard):
+    for module in (frames, live, tracks, lanes, sensors, flow, events, keys, audit, health, reference, dashboard):
         app.include_router(module.router)
     app.router.default = dashboard.Dashboard()
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import Final
 
+from service.api import flow_examples
+
 TIME: Final = "2025-05-12T06:00:00.050Z"
 
 SITE: Final = {
@@ -305,6 +307,7 @@ REQUESTS: Final[dict[str, dict[str, object]]] = {
             "lanes": [{"index": 1, "points_m": [[0.0, 150.0], [0.0, 20.0]], "width_m": 3.5}],
         },
     },
+    "check_manual_counts": {"a quarter of an hour": [flow_examples.MANUAL_COUNT]},
 }
 RESPONSES: Final[dict[str, object]] = {
     "create_site": SITE_REPLY,
@@ -326,6 +329,9 @@ RESPONSES: Final[dict[str, object]] = {
     "read_lane_versions": _page(LANE_VERSION),
     "control_lanes": {"mode": "learned", "lanes": [], "names": {"L2": "left"}, "accepted": "1-3"},
     "read_lane_changes": _page(LANE_CHANGE),
+    **{name: _page(item) for name, item in flow_examples.PAGES.items()},
+    **flow_examples.RESPONSES,
+    "read_evidence": flow_examples.EVIDENCE | {"tracks": [TRACK]},
     "create_key": KEY_REPLY | {"secret": "Zx3vYkq0bX0mYw1pJ2u3VtQe5rS7aHc9dLfGiKjNoPM"},
     "rotate_key": KEY_REPLY | {"secret": "b7T1wqJm2KfQx9RzL4vNc8YhUe5sPdAi3GoXtBnMkWE", "rotated": TIME},
     "list_keys": _page(KEY_REPLY),

@@ -14,6 +14,8 @@ MEDIA_TYPES = {
     "ndjson": "application/x-ndjson",
     "csv": "text/csv",
     "geojson": "application/geo+json",
+    "parquet": "application/vnd.apache.parquet",
+    "pems": "text/csv",  # only by `?format=`: CSV is offered before it
 }
 
 

@@ -25,6 +25,7 @@ TAGS = (
     ("live", "The newest tracks: polled, long-polled or streamed."),
     ("tracks", "Stored tracks and their states."),
     ("lanes", "The lane map, learned from traffic or drawn by a user, and lane changes."),
+    ("counts", "Crossings of count lines, traffic measures and what is behind them."),
     ("events", "What happened at a sensor."),
     ("keys", "API keys."),
     ("session", "A browser's session."),

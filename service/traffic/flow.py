@@ -65,7 +65,7 @@ class CrossingTable:
     def __len__(self) -> int:
         return len(self.time_us)
 
-    def take(self, index: I64 | Bool) -> CrossingTable:
+    def take(self, index: I64 | Bool | list[int]) -> CrossingTable:
         """Return the crossings at `index` (integers or a mask)."""
         return CrossingTable(*(getattr(self, item.name)[index] for item in fields(self)))
 
@@ -107,6 +107,17 @@ class Group:
     lane: int | None  # None: all lanes; 0: no lane
     direction: int | None  # None: both
     length_class: str | None  # None: all
+
+    def holds(self, crossings: CrossingTable) -> Bool:
+        """Return which crossings (N,) belong to the group."""
+        mine = crossings.line_id == self.line_id
+        if self.lane is not None:
+            mine &= crossings.lane == self.lane
+        if self.direction is not None:
+            mine &= crossings.direction == self.direction
+        if self.length_class is not None:
+            mine &= crossings.length_class == LENGTH_CLASSES.index(self.length_class)
+        return np.asarray(mine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +165,7 @@ def flow_table(
     place = np.searchsorted(edges_us, crossings.time_us, side="right") - 1
     inside = (place >= 0) & (place < len(row))
     inside[inside] &= row[place[inside]] >= 0
-    parts = [np.flatnonzero(_of(crossings, group) & inside) for group in groups]
+    parts = [np.flatnonzero(group.holds(crossings) & inside) for group in groups]
     index = np.concatenate([*parts, np.zeros(0, np.int64)]).astype(np.int64)
     of_group = np.repeat(np.arange(len(groups)), [len(part) for part in parts])
     cell = row[place[index]] * len(groups) + of_group
@@ -163,18 +174,6 @@ def flow_table(
     starts, ends = edges_us[:-1][bins], edges_us[1:][bins]
     spread = np.stack([starts, ends, coverage[bins], observed[bins]]).repeat(len(groups), axis=1)
     return _measured(chosen, cell, spread, tuple(groups), confidence or Confidence())
-
-
-def _of(crossings: CrossingTable, group: Group) -> Bool:
-    """Return which crossings (N,) belong to a group."""
-    mine = crossings.line_id == group.line_id
-    if group.lane is not None:
-        mine &= crossings.lane == group.lane
-    if group.direction is not None:
-        mine &= crossings.direction == group.direction
-    if group.length_class is not None:
-        mine &= crossings.length_class == LENGTH_CLASSES.index(group.length_class)
-    return np.asarray(mine)
 
 
 def covered(received: Received, edges_us: I64) -> tuple[F64, F64]:

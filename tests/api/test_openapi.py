@@ -5,7 +5,7 @@ import re
 import pytest
 from pydantic import TypeAdapter
 
-from service.api import examples, lane_schemas, schemas, track_schemas
+from service.api import examples, flow_schemas, lane_schemas, schemas, track_schemas
 from service.api.openapi import operations
 from service.api.problems import Problem
 from service.api.schemas import Page
@@ -32,6 +32,14 @@ MODELS = {
     "read_track": track_schemas.TrackReply,
     "read_track_states": Page[track_schemas.StateReply],
     "read_events": Page[track_schemas.EventReply],
+    "read_crossings": Page[flow_schemas.CrossingReply],
+    "read_flow": flow_schemas.FlowReply,
+    "read_cells": flow_schemas.CellReply,
+    "read_evidence": flow_schemas.EvidenceReply,
+    "read_coverage": flow_schemas.CoverageReply,
+    "read_movements": flow_schemas.MovementReply,
+    "check_manual_counts": flow_schemas.CheckReply,
+    "read_checks": flow_schemas.CheckReply,
     "create_key": schemas.NewKeyReply,
     "rotate_key": schemas.NewKeyReply,
     "list_keys": Page[schemas.KeyReply],

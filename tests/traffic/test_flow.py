@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.errors import InvalidInput, NotFound
+from service.formats.local_days import interval_edges_us
+from service.formats.rfc3339 import parse_time_us
+from service.storage.flow_exports import csv_rows, pems_rows
+from service.traffic.count_check import check
+from service.traffic.count_intervals import Confidence, volume_bounds
+from service.traffic.flow import Group, Received, covered, crossing_table, flow_table
+from service.traffic.flow_fields import (
+    RowName,
+    crossing_fields,
+    flow_fields,
+    groups_of,
+    parse_row_name,
+    row_name,
+)
+from service.traffic.movements import movements
+from service.traffic.records import CROSSING, MINUTE_US, Crossing, record_of
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import recompute_flow
+
+START_US = 1_747_029_600_000_000  # 06:00
+HOUR_US = 60 * MINUTE_US
+ALL = Group("C40", None, None, None)
+
+
+def table_of(*crossings):
+    records = b"".join(record_of(crossing).tobytes() for crossing in crossings)
+    minutes = np.array([crossing.time_us // MINUTE_US for crossing in crossings], np.int64)
+    lines = np.array([crossing.line_id for crossing in crossings], dtype=np.str_)
+    return crossing_table(np.frombuffer(records, CROSSING), minutes, np.ones(len(crossings), np.int64), lines)
+
+
+def crossing(second, speed_mps=15.0, *, number=1, line_id="C40", **given):
+    values = {
+        "line_id": line_id, "time_us": START_US + round(second * 1e6), "track": number, "vehicle": number,
+        "frame": 1, "lane": 1, "direction": -1, "x_m": 0.0, "y_m": 40.0, "speed_mps": speed_mps,
+        "length_m": 4.5, "probability": 1.0, "number": number,
+    }  # fmt: skip
+    return Crossing(**values | given)
+
+
+def received(minutes=60, frames=1200, observed_us=MINUTE_US):
+    count = np.arange(minutes) + START_US // MINUTE_US
+    return Received(count, *(np.full(minutes, n) for n in (frames, 1200, observed_us)))
+
+
+def flow(crossings, *, edges=(0, 60), groups=(ALL,), got=None):
+    edges_us = START_US + np.array(edges, np.int64) * MINUTE_US
+    return flow_table(crossings, received() if got is None else got, edges_us, groups)
+
+
+def test_the_measures_are_those_of_the_definitions():
+    found = flow(
+        table_of(crossing(1, 10.0), crossing(5, 20.0, number=2), crossing(9, 30.0, number=3)), edges=(0, 1)
+    )
+
+    assert found.n.tolist() == [3]
+    assert found.flow_vph[0] == 180
+    assert found.time_mean_speed_mps[0] == 20
+    assert found.space_mean_speed_mps[0] == pytest.approx(3 / (1 / 10 + 1 / 20 + 1 / 30))
+    assert found.density_per_km[0] == pytest.approx(180 / (3.6 * found.space_mean_speed_mps[0]))
+    assert found.occupancy_percent[0] == pytest.approx(100 / 60 * 6.5 * (1 / 10 + 1 / 20 + 1 / 30))
+    assert found.p85_speed_mps[0] == pytest.approx(27.0)
+    assert np.flatnonzero(found.histogram[0]).tolist() == [4, 8, 12]
+
+
+def test_null_is_not_zero():
+    found = flow_fields("radar-1", flow(table_of(), edges=(0, 1, 2), got=received(1)))
+
+    (row,) = found  # of the second minute nothing was received
+    assert (row["volume"], row["flow_vph"], row["occupancy_percent"]) == (0, 0.0, 0.0)
+    assert row["time_mean_speed_mps"] is None
+    assert row["p85_speed_mps"] is None
+    assert row["mean_headway_s"] is None
+
+
+def test_intervals_are_half_open():
+    found = flow(table_of(crossing(0), crossing(60, number=2), crossing(120, number=3)), edges=(0, 1, 2))
+
+    assert found.n.tolist() == [1, 1]
+
+
+def test_the_peak_hour_factor_is_of_the_quarters_inside_the_hour():
+    quarters = [10, 20, 40, 30]
+    passed = [
+        crossing(900 * q + k, number=100 * q + k + 1)
+        for q, count in enumerate(quarters)
+        for k in range(count)
+    ]
+
+    hour, *quarter = flow(table_of(*passed)).peak_hour_factor, flow(table_of(*passed), edges=(0, 15, 30))
+
+    assert hour.tolist() == [100 / 160]
+    assert np.isnan(quarter[0].peak_hour_factor).all()
+
+
+def test_coverage_is_of_frames_and_observed_is_of_time():
+    got = received(2, frames=600, observed_us=MINUTE_US // 2)
+
+    coverage, observed = covered(got, START_US + np.array([0, 5, 10]) * MINUTE_US)
+
+    assert coverage.tolist() == [pytest.approx(0.2), 0.0]  # of five minutes two came by half
+    assert observed.tolist() == [pytest.approx(0.2), 0.0]
+
+
+speeds = st.lists(st.floats(0.1, 60.0), min_size=1, max_size=40)
+
+
+@settings(max_examples=60, deadline=None)
+@given(speeds, st.integers(0, 2**32 - 1))
+def test_every_figure_is_what_another_program_computes_from_the_exported_crossings(values, seed):
+    rng = np.random.default_rng(seed)
+    crossings = table_of(
+        *(
+            crossing(
+                rng.uniform(0, 3600), v, number=k + 1, lane=int(rng.integers(1, 4)),
+                direction=int(rng.choice([-1, 1])), length_m=rng.choice([np.nan, 4.2, 9.0, 17.5]),
+                headway_s=rng.choice([np.nan, 2.5, 7.75]), gap_s=rng.choice([np.nan, 1.25]),
+            )
+            for k, v in enumerate(values)
+        )
+    )  # fmt: skip
+    for by in ({"lane", "direction"}, {"lane", "direction", "length_class"}):
+        groups = groups_of(crossings, ["C40"], (), frozenset(by))
+        found = flow(crossings, edges=(0, 60), groups=groups)
+        assert (found.space_mean_speed_mps <= found.time_mean_speed_mps)[found.n > 0].all()
+
+        worst = recompute_flow.differences(
+            crossing_fields("radar-1", crossings), flow_fields("radar-1", found)
+        )
+
+        assert {name for name, apart in worst.items() if apart > recompute_flow.ROUNDING} == set()
+
+
+def test_a_row_is_opened_by_its_name():
+    group = Group("A 1", 2, -1, "long")
+
+    assert parse_row_name(row_name(group, 1_747_029_600, 900)) == RowName(
+        group, START_US, START_US + 15 * MINUTE_US
+    )
+    for wrong in ("", "abc", "W10", "WyJDNDAiXQ", row_name(Group("x", None, None, "huge"), 0, 60)):
+        with pytest.raises(NotFound):
+            parse_row_name(wrong)
+
+
+def test_the_interval_of_a_volume_grows_with_doubt_and_with_time_not_seen():
+    n = np.full(3, 40)
+    low, high = volume_bounds(n, np.array([0.0, 4.0, 0.0]), np.array([1.0, 1.0, 0.6]), Confidence())
+
+    assert low[0] <= 40 <= high[0]
+    assert low[1] < low[0]
+    assert high[2] > 40 / 0.6 > high[0]
+    empty = volume_bounds(np.zeros(1, int), np.zeros(1), np.ones(1), Confidence())
+    assert [bound.tolist() for bound in empty] == [[0], [0]]
+
+
+def test_the_interval_holds_the_truth_as_often_as_it_says():
+    rng = np.random.default_rng(5)  # 2,000 intervals; binomial standard deviation 0.5 %
+    level = Confidence(miss_share=0.05, false_share=0.02)
+    true = rng.poisson(rng.uniform(2, 40, 2000))
+    observed = rng.uniform(0.6, 1.0, 2000)
+    counted = rng.binomial(true, observed * 0.95)
+    counted += rng.poisson(0.02 * counted)
+    low, high = volume_bounds(counted, np.zeros(2000), observed, level)
+
+    assert 0.93 <= np.mean((low <= true) & (true <= high)) <= 0.995  # counts are whole: never less than 95 %
+
+
+@pytest.mark.parametrize(
+    ("day", "hours"), [("2025-03-29", 24), ("2025-03-30", 23), ("2025-10-26", 25), ("2025-10-27", 24)]
+)
+def test_a_local_day_has_23_24_or_25_hours(day, hours):
+    noon_us = parse_time_us(f"{day}T12:00:00Z")
+
+    edges = interval_edges_us(noon_us, noon_us + 1, "day", "Europe/Berlin")
+
+    assert np.diff(edges).tolist() == [hours * HOUR_US]
+    assert edges[0] % (15 * MINUTE_US) == 0
+
+
+def test_days_of_another_place_and_wrong_zones():
+    start_us = parse_time_us("2025-03-30T00:30:00Z")
+
+    edges = interval_edges_us(start_us, start_us + 30 * HOUR_US, "day", "America/New_York")
+
+    assert edges[0] == parse_time_us("2025-03-29T00:00:00-04:00")
+    with pytest.raises(InvalidInput):
+        interval_edges_us(0, 1, "day", "Mars/Olympus")
+    with pytest.raises(InvalidInput):
+        interval_edges_us(0, 10**15, "1min", "UTC")
+
+
+def test_the_coverage_of_a_day_with_25_hours_is_of_25_hours():
+    start_us = parse_time_us("2025-10-26T00:00:00+02:00")
+    minute = start_us // MINUTE_US + np.arange(25 * 60)
+    got = Received(minute, *(np.full(25 * 60, n) for n in (1200, 1200, MINUTE_US)))
+
+    coverage, _ = covered(got, interval_edges_us(start_us, start_us + 1, "day", "Europe/Berlin"))
+
+    assert coverage.tolist() == [1.0]
+
+
+def test_movements_are_from_the_first_gate_to_the_last():
+    passed = table_of(
+        crossing(1, number=1, line_id="north"),
+        crossing(5, number=2, line_id="middle", vehicle=1, track=9, probability=0.5),
+        crossing(9, number=3, line_id="west", vehicle=1, track=9),
+        crossing(4, number=4, line_id="east", vehicle=2, length_m=np.nan),
+    )
+
+    found = movements(passed, START_US + np.array([0, 1]) * MINUTE_US)
+
+    assert [(row.entry, row.exit, row.length_class, row.volume) for row in found] == [
+        ("east", None, None, 1),
+        ("north", "west", "short", 1),
+    ]
+
+
+def test_geh_is_of_hourly_volumes():
+    found = check(counted=100, measured=110, interval_s=900)
+
+    assert found.geh == pytest.approx(np.sqrt(2 * 40**2 / 840))
+    assert (found.difference, found.relative_error, found.within_target) == (10, 0.1, True)
+    assert check(0, 0, 900).geh == 0.0
+
+
+def test_exports_name_their_units_and_speeds_are_converted():
+    crossings = table_of(crossing(1, 10.0), crossing(2, 20.0, number=2, lane=2))
+    found = flow(
+        crossings, edges=(0, 1), groups=groups_of(crossings, (), (), frozenset({"lane", "direction"}))
+    )
+
+    head, first, _ = csv_rows(
+        flow_fields("radar-1", found),
+        ("line_id", "time_mean_speed_mps", "p85_speed_mps", "mean_gap_s"),
+        "kmh",
+    )
+    pems = list(pems_rows(found, "Europe/Berlin"))
+
+    assert head == "line_id,time_mean_speed_kmh,p85_speed_kmh,mean_gap_s\r\n"
+    assert first == "C40,36.0,36.0,\r\n"
+    assert pems[0].startswith("Timestamp,Station,Direction of Travel,Samples,% Observed,Total Flow")
+    assert pems[1].split(",")[:8] == ["05/12/2025 08:00:00", "C40", "-1", "2", "100", "2", "0.0081", "33.6"]
