@@ -75,7 +75,20 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
     )
-    for module in (frames, live, tracks, lanes, sensors, flow, events, keys, audit, health, reference, dashboard):
+    for module in (
+        frames,
+        live,
+        tracks,
+        lanes,
+        sensors,
+        flow,
+        events,
+        keys,
+        audit,
+        health,
+        reference,
+        dashboard,
+    ):
         app.include_router(module.router)
     app.router.default = dashboard.Dashboard()
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way

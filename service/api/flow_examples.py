@@ -26,7 +26,7 @@ CROSSING: Final = {
     "probability": 0.998,
 }
 FLOW_ROW: Final = {
-    "row": "WyJDNDAiLDIsLTEsbnVsbCwxNzQ3MDI5NjAwLDkwMF0",
+    "row": "WyJDNDAiLDIsLTEsbnVsbF0-1747029600-900",
     "sensor_id": "radar-1",
     "line_id": "C40",
     "lane_id": "L2",

@@ -10,8 +10,10 @@ from service import __version__
 from service.cli import key, sensor
 from service.cli.bench import bench
 from service.cli.compare import compare
+from service.cli.count_check import count_check
 from service.cli.demo import demo
 from service.cli.evaluate import evaluate
+from service.cli.export import export
 from service.cli.migrate import migrate
 from service.cli.replay import replay
 from service.cli.reproduce import reproduce
@@ -25,7 +27,20 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (demo, serve, track, replay, simulate, evaluate, compare, reproduce, bench, migrate):
+for command in (
+    demo,
+    serve,
+    track,
+    replay,
+    simulate,
+    evaluate,
+    compare,
+    export,
+    count_check,
+    reproduce,
+    bench,
+    migrate,
+):
     app.command()(command)
 app.add_typer(key.app, name="key")
 app.add_typer(sensor.app, name="sensor")

@@ -149,7 +149,14 @@ def test_a_row_is_opened_by_its_name():
     assert parse_row_name(row_name(group, 1_747_029_600, 900)) == RowName(
         group, START_US, START_US + 15 * MINUTE_US
     )
-    for wrong in ("", "abc", "W10", "WyJDNDAiXQ", row_name(Group("x", None, None, "huge"), 0, 60)):
+    for wrong in (
+        "",
+        "abc",
+        "W10-1-60",
+        "WyJDNDAiXQ-1-60",
+        "a-1-x",
+        row_name(Group("x", None, None, "huge"), 0, 60),
+    ):
         with pytest.raises(NotFound):
             parse_row_name(wrong)
 
