@@ -7,6 +7,7 @@ births. Everything is a function of the state and the frame: no clock, no random
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,15 @@ _NOBODY = np.zeros(1, dtype=np.bool_)  # confirmed is not the owner -1
 __all__ = ["TrackerState", "coast", "initial_state", "step"]
 
 SIZED_HITS = 8  # hits from which length and width are told
+Watch = Callable[[str], None]
+STAGES = (
+    "points", "clutter", "cluster", "filter", "associate", "recover", "extent", "existence", "births", "memory",
+)  # fmt: skip
 MAX_STEP_S = 2.0  # a longer gap is predicted as if it were this long: every track has ended by then
+
+
+def _unwatched(_stage: str) -> None:
+    """Do nothing when a stage is done."""
 
 
 def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
@@ -48,24 +57,32 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
 
 
 def step(
-    state: TrackerState, frame: Frame, parameters: TrackerParameters, bank: Filter | None = None
+    state: TrackerState,
+    frame: Frame,
+    parameters: TrackerParameters,
+    bank: Filter | None = None,
+    watch: Watch = _unwatched,
 ) -> tuple[TrackerState, TrackEstimates, StepReport]:
     """Fold one frame, later than all before it; return the state, the confirmed tracks and the counts.
 
     bank: the filter itself, for who wants to watch it; None: the one that the parameters name.
+    watch: called with the name of each stage (one of STAGES) when a part of it is done, for whoever times it.
     """
     p = parameters
     bank = bank or make_filter(p.filter, p.filters)
     state = _with_filter(state, bank)
     points = point_array(frame, p.sensor)
+    watch("points")
     usable, standing, no_birth = _sort_points(state, points, p)
     if not usable.all():
         points, standing, no_birth = points[usable], standing[usable], no_birth[usable]
+    watch("clutter")
     window = _slide(state, points, standing, frame.time_us, p)
     label = _cluster(window, frame.time_us, p)
+    watch("cluster")
     new = len(window.time_us) - len(points)
 
-    tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p)
+    tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p, watch)
     owned = assignment.owner >= 0
     sure = np.concatenate((tracks.confirmed, _NOBODY))[assignment.owner]
     window = Window(
@@ -76,6 +93,7 @@ def step(
     tracks, reference, ended = lifecycle.live(state, tracks, assignment, frame.time_us, p)
     tracks, drop = merge(tracks, p.merging)
     merged = int(np.count_nonzero(drop))
+    watch("existence")
     state = replace(
         state,
         tracks=tracks.take(~drop) if merged else tracks,
@@ -84,14 +102,18 @@ def step(
         trails=trails,
     )
     born = find_births(state, label, free, points, frame.time_us, p)
+    tracks = start(state, bank, born, frame.time_us, p)
+    watch("births")
+    clutter = clutter_map.learn(state.clutter, points, ~sure, p.clutter)
+    watch("clutter")
     state = replace(
         state,
-        tracks=start(state, bank, born, frame.time_us, p),
+        tracks=tracks,
         next_number=state.next_number + len(born),
         frames=state.frames + 1,
         time_us=frame.time_us,
         range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
-        clutter=clutter_map.learn(state.clutter, points, ~sure, p.clutter),
+        clutter=clutter,
         standing_window=_slide_standing(state, points, standing & ~owned & ~no_birth, frame.time_us, p),
         frame_times_us=_recent_times(state, frame.time_us, p),
     )
@@ -106,7 +128,9 @@ def step(
         born=len(born),
         deleted=ended + merged,
     )
-    return state, estimates(state.tracks), report
+    found = estimates(state.tracks)
+    watch("memory")
+    return state, found, report
 
 
 def coast(
@@ -229,25 +253,32 @@ def _cluster(window: Window, time_us: int, p: TrackerParameters) -> I64:
 
 
 def _track(
-    state: TrackerState, bank: Filter, points: F64, label: I64, time_us: int, p: TrackerParameters
-) -> tuple[Tracks, Assignment, TrailBook]:
+    state: TrackerState, bank: Filter, points: F64, label: I64, time_us: int, p: TrackerParameters,
+    watch: Watch,
+) -> tuple[Tracks, Assignment, TrailBook]:  # fmt: skip
     """Return the tracks after prediction, association, update and recovery, the association, the trails."""
     tracks, dt_s = state.tracks, _dt_s(state, time_us)
     prediction = bank.predict(_filter_state(tracks), dt_s)
     prediction = replace(prediction, noise=_widened(prediction.noise, tracks, p))
     cov = prediction.cov
-    boxes = box_array(tracks, prediction.mean, cov, p)
     expected = bank.expected(prediction)
+    watch("filter")
+    boxes = box_array(tracks, prediction.mean, cov, p)
     detect = existence.detection_probability(tracks, p.existence)
     a = assign(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
     )
+    watch("associate")
     after = bank.update(prediction, a.z, a.R, a.beta, a.miss)
+    watch("filter")
     tracks = tracks.but(mean=after.mean, cov=after.cov, memory=after.memory)
     seen = Seen(points, label, boxes, dt_s, state.range_seen_min_m)
     tracks, a, trails = recover(tracks, a, seen, bank, state.trails, p)
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
-    return extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent), a, trails
+    watch("recover")
+    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent)
+    watch("extent")
+    return tracks, a, trails
 
 
 def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:

@@ -149,8 +149,20 @@ def test_evaluate_says_what_is_missing(run, tracked, scene, tmp_path):
 
 
 def test_bench_times_each_load(run):
-    told = json.loads(run("bench", "--steps", "10", "--warm-up", "2", "--json").stdout)
+    told = json.loads(run("bench", "--steps", "10", "--warm-up", "2", "--no-peer", "--json").stdout)
 
     assert [timing["load"]["vehicles"] for timing in told["timings"]] == [30, 60, 120]
     assert all(timing["median_s"] > 0 for timing in told["timings"])
+    assert [stage["name"] for stage in told["timings"][0]["stages"]][-1] == "fold"
+    assert told["peer"] is None
     assert told["version"] == service.__version__
+
+
+def test_bench_times_a_recorded_scene(run, scene, tmp_path):
+    arguments = ("bench", "--scene", scene, "--until", "1.5", "--no-peer")
+    told = json.loads(run(*arguments, "--json").stdout)
+
+    assert told["steps"] == 30
+    assert told["timings"][0]["load"]["points"] > 0
+    assert "existence" in run(*arguments).stdout
+    assert "site.json" in run("bench", "--scene", tmp_path, code=2).stderr

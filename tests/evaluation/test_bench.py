@@ -5,10 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from service.evaluation import bench, steady
+from service.cli.fold_bench import FoldRun
+from service.evaluation import bench, peer_bench, steady
 from service.evaluation.bench import LOADS, Timing
 from service.evaluation.steady import Load
-from service.tracking.parameters import SensorModel
+from service.tracking.parameters import SensorModel, TrackerParameters
 
 SMALLEST = LOADS[0]
 
@@ -64,15 +65,41 @@ def test_growth_is_the_power_of_the_number_of_vehicles():
 
 
 @pytest.mark.slow  # compiles the kernels when no compiled ones are stored
-def test_a_step_is_timed_by_the_clock_that_is_given():
+def test_a_step_and_its_stages_are_timed_by_the_clock_that_is_given():
     ticks = itertools.count()
 
-    (result,) = bench.bench([Load(3, 20)], warm_up=30, steps=10, clock=lambda: float(next(ticks)))
+    (result,) = bench.bench(
+        [Load(3, 20)], warm_up=30, steps=10, clock=lambda: float(next(ticks)), fold=FoldRun
+    )
 
-    assert (result.median_s, result.p99_s) == (1.0, 1.0)  # one reading before and one after each step
+    readings = [stage.median_s for stage in result.stages]  # one reading after each part of a stage
+    assert dict(zip(bench.STAGES, readings, strict=True)) == dict.fromkeys(bench.STAGES, 1.0) | {
+        "clutter": 2.0, "filter": 2.0, "fold": 2.0,
+    }  # fmt: skip
+    assert (result.median_s, result.p99_s) == (12.0, 12.0)
     assert result.product_s == pytest.approx(1.0 / 100)
-    assert result.products == pytest.approx(100.0)
+    assert result.products == pytest.approx(1200.0)
     assert result.tracks == 3
+    assert bench.stage_grid([result]).rows[0] == ("points", "1000000", "1000000", "100")
+
+
+@pytest.mark.slow
+def test_recorded_frames_are_timed_as_their_usual_load():
+    result = bench.bench_frames(frames(Load(3, 20), 40), TrackerParameters(), warm_up=30)
+
+    assert result.load == Load(3, 20)
+    assert result.p99_s >= result.median_s > 0.0
+
+
+@pytest.mark.slow
+def test_stone_soup_tracks_the_same_vehicles_and_is_compared():
+    compared = peer_bench.compare(frames(Load(3, 20), 40), TrackerParameters())
+
+    assert compared.frames == 20
+    assert compared.tracks == 3
+    assert compared.peer_tracks >= 3
+    assert compared.ratio > 2.0  # some twenty: a small load, on a machine that does other things
+    assert f"{compared.ratio:.0f} times as long" in compared.sentence()
 
 
 @pytest.mark.slow
