@@ -73,6 +73,10 @@ MEASURES = (
     Measure("changes_recall", "lane changes, recall", "ch.rec", 3, higher_is_better=True),
     Measure("changes_precision", "lane changes, precision", "ch.prec", 3, higher_is_better=True),
 )
+SPEED = (
+    Measure("ms_per_frame", "CPU ms per frame", "ms"),
+    Measure("ms_p99", "CPU ms, 99th percentile", "ms99"),
+)
 _BY_KEY = {measure.key: measure for measure in MEASURES}
 
 

@@ -36,7 +36,8 @@ __all__ = ["TrackerState", "coast", "initial_state", "step"]
 SIZED_HITS = 8  # hits from which length and width are told
 Watch = Callable[[str], None]
 STAGES = (
-    "points", "clutter", "cluster", "filter", "associate", "recover", "extent", "existence", "births", "memory",
+    "points", "clutter", "cluster", "filter", "associate", "recover", "extent", "existence", "births",
+    "memory",
 )  # fmt: skip
 MAX_STEP_S = 2.0  # a longer gap is predicted as if it were this long: every track has ended by then
 

@@ -166,3 +166,17 @@ def test_bench_times_a_recorded_scene(run, scene, tmp_path):
     assert told["timings"][0]["load"]["points"] > 0
     assert "existence" in run(*arguments).stdout
     assert "site.json" in run("bench", "--scene", tmp_path, code=2).stderr
+
+
+def test_a_card_of_given_tracks_says_by_which_parameters(run, scene, tracked, tmp_path):
+    (tmp_path / "given").mkdir()
+    tracked.rename(tmp_path / "given" / scene.name)
+
+    arguments = ("evaluate", "--card", tmp_path / "card", scene, "--tracks", tmp_path / "given")
+    listed = run(*arguments, "--jobs", "1").stdout.split()
+
+    assert [Path(name).name for name in listed] == ["accuracy.md", "accuracy.html", "accuracy.json"]
+    digest = json.loads((tmp_path / "given" / scene.name / "summary.json").read_text())["parameters_digest"]
+    assert digest in (tmp_path / "card" / "accuracy.md").read_text()
+    assert "leave --truth out" in run(*arguments, "--truth", scene, code=2).stderr
+    assert "--card OUT_DIR" in run("evaluate", scene, code=2).stderr
