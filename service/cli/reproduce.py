@@ -97,9 +97,10 @@ def _write(out: Path, results: list[Reproduction], *, drawing: bool, force: bool
 
     drawn = {r.paper: plots.file_names(r) if drawing else {} for r in results}
     texts = {f"reproduce-{r.paper}.md": render.text(r, drawn[r.paper]) for r in results}
-    values = {f"reproduce-{r.paper}.json": provenance() | render.plain(r) for r in results}
+    values = {f"reproduce-{r.paper}.json": provenance() | render.plain(r, curves=False) for r in results}
+    curves = {f"curves-{r.paper}.json": {"figures": render.plain(r)["figures"]} for r in results}
     pictures = [name for names in drawn.values() for name in names.values()]
-    with written_together(out, [*pictures, *texts, *values, SUMMARY], force=force) as folder:
+    with written_together(out, [*pictures, *texts, *curves, *values, SUMMARY], force=force) as folder:
         if drawing:
             for result in results:
                 plots.draw(result, folder)
@@ -107,6 +108,11 @@ def _write(out: Path, results: list[Reproduction], *, drawing: bool, force: bool
             (folder / name).write_text(text)
         for name, value in values.items():
             (folder / name).write_text(json_text(value) + "\n")
+        for (
+            name,
+            value,
+        ) in curves.items():  # tens of thousands of numbers: a line of its own for each is no help
+            (folder / name).write_bytes(orjson.dumps(value))
         (folder / SUMMARY).write_bytes(orjson.dumps({"papers": [r.paper for r in results]} | provenance()))
 
 

@@ -1,7 +1,7 @@
 """Vehicles that meet before a roadside radar: scenes of points for the study of lost tracks.
 
 A scene is the truth (K, T, 4), [x y vx vy] of T vehicles every 0.1 s. Two scenes are easy, two have
-manoeuvres at the edge of what tyres allow (8 m/s^2), the last one was not used to choose any constant.
+manoeuvres at the edge of what tyres allow (8 m/s^2); the last one, with both, was made to check the rest.
 """
 
 from __future__ import annotations

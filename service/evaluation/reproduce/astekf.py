@@ -272,7 +272,7 @@ def _paths(printed: list[Experiment]) -> Figure:
 def _curves(number: str, which: int, e: Experiment) -> Figure:
     panels = tuple(
         Panel(
-            f"({'abcd'[k]}) RMSE of {column}", "time (s)", column[-5:].strip("( )"),
+            f"({'abcd'[k]}) RMSE of {column}", "time (s)", column.split("(")[1].rstrip(")"),
             tuple(Line(n, _times(e), np.sqrt(e.squared(n, column).mean(axis=1))) for n in e.runs),
         )
         for k, column in enumerate(COLUMNS)

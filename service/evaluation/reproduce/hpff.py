@@ -241,7 +241,12 @@ def _sampled_windows(accel_std_mps2: float, R: F64, rng: np.random.Generator) ->
 
 
 def _bars(fitted: Summaries, covariance: Table) -> tuple[Bar, ...]:
-    m4, heavy, m8 = fitted["M4", MODERATE, 0.95], fitted["M4", HEAVY, 0.95], fitted["M8", MODERATE, 0.95]
+    m4, m8 = fitted["M4", MODERATE, 0.95], fitted["M8", MODERATE, 0.95]
+    # M4 to M6 are one motion in three lanes, and thrice the runs halve the error of a few per cent
+    heavy = {
+        name: float(np.mean([fitted[m, HEAVY, 0.95][name].lost_percent for m in ("M4", "M5", "M6")]))
+        for name in ("pdaf", "hpff")
+    }
     ratios = [c for c in covariance.cells if c.column.endswith("J'")]
     return (
         Bar("M4 moderate: HPFF lost (%)", m4["hpff"].lost_percent, high=0.3),
@@ -249,8 +254,8 @@ def _bars(fitted: Summaries, covariance: Table) -> tuple[Bar, ...]:
         Bar("M4 moderate: PDAF lost (%)", m4["pdaf"].lost_percent, 2.0, 4.5),
         Bar("M8 moderate: HPFF lost (%)", m8["hpff"].lost_percent, high=1.5),
         Bar("M8 moderate: PDAF lost (%)", m8["pdaf"].lost_percent, low=98.0),
-        Bar("M4 heavy: HPFF lost (%)", heavy["hpff"].lost_percent, high=4.0),
-        Bar("M4 heavy: PDAF lost (%)", heavy["pdaf"].lost_percent, 10.0, 20.0),
+        Bar("M4-M6 heavy: HPFF lost (%)", heavy["hpff"], high=4.0),
+        Bar("M4-M6 heavy: PDAF lost (%)", heavy["pdaf"], 10.0, 20.0),
         *(Bar(f"FIR sampled / claimed, {c.row}", c.ours or 0.0, 0.9, 1.1) for c in ratios),
     )
 
@@ -294,4 +299,4 @@ def _example(number: str, title: str, motion: str, studied: Studied, *, rescued:
     return Figure(number, title, Kind.SIMULATED, panels, f"Run {one}, {int(resets[one])} resets.")
 
 
-HPFF = Paper("hpff", 2000, 2 * len(PAPER) + len(_SWEEP) + 1 + hpff_targets.STEPS, reproduce)
+HPFF = Paper("hpff", 1000, 2 * len(PAPER) + len(_SWEEP) + 1 + hpff_targets.STEPS, reproduce)

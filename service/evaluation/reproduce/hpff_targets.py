@@ -51,8 +51,8 @@ def table(studied: Studied) -> Table:
     runs = len(next(iter(studied.values())))
     note = (
         f"{runs} runs. Two easy scenes (a crossing, an overtaking), two with manoeuvres of 8 m/s^2 (braking "
-        "and a lane change among six; right angles), and one that chose no constant (a braking column and an "
-        "evasion). sigma_w 2 m/s^2, P_D 0.9, clutter 2e-3 per m^2."
+        "and a lane change among six; right angles), and one made to check the rules (a braking column and "
+        "an evasion). sigma_w 2 m/s^2, P_D 0.9, clutter 2e-3 per m^2."
     )
     return Table("Table D", "several targets: JPDA with a FIR reset", Kind.OURS, tuple(cells), note)
 

@@ -10,8 +10,8 @@ CITATION = (
 )
 HOLDS = sentences("""
 The FIR reset removes nearly all of the PDAF's lost tracks in moderate clutter and most of them in heavy
-clutter, as printed in tables 2, 3 and 5. Under the fitted reading the HPFF's rows of tables 2 and 3 are met
-within 12 %.
+clutter, as printed in tables 2, 3 and 5. Under the fitted reading the HPFF's errors in tables 2 and 3 are met
+within 13 %.
 
 HPFF before PDAF in position error and in lost tracks in every row of tables 2 to 6.
 """)

@@ -10,15 +10,15 @@ CITATION = (
 )
 HOLDS = sentences("""
 ISRCKF before SRCKF and SH-EKF where the noise is unknown and changes: in the simulated drives its speed error
-is about a third below the SRCKF's in the median, and its distance error a quarter (printed: at most 29 and
-59 %). In the parking and the tunnel a part of that is its guard against outliers, which the others lack here.
+is a third below the SRCKF's in the median, and its distance error a fifth (printed: at most 29 and 59 %). In
+the parking and the tunnel a part of that is its guard against outliers, which the others lack here.
 
 The estimated noise follows steps of 4 and 9 in the variance within a quarter of the drive (table B).
 
 The motion states and all their times, by the classifier of the live pipeline.
 
 The ISRCKF costs more than the SRCKF and SH-EKF (printed: 13 and 4 %; in numpy, which pays for each call,
-about 60 and 90 %).
+about 70 and 50 %).
 """)
 FAILS = sentences("""
 No drive of the paper is published. Figures 5 to 8 are simulated stand-ins: the four environments are named

@@ -82,8 +82,11 @@ def _about(entry: Table | Figure) -> str:
     return f"{entry.kind.value[0].upper()}{entry.kind.value[1:]}. {entry.note}".rstrip() + "\n\n"
 
 
-def plain(result: Reproduction) -> dict[str, object]:
-    """Return the reproduction as plain values for JSON; numbers rounded to six digits."""
+def plain(result: Reproduction, *, curves: bool = True) -> dict[str, object]:
+    """Return the reproduction as plain values for JSON; numbers rounded to six digits.
+
+    curves: with the points of every line of the figures.
+    """
     return {
         "paper": result.paper,
         "citation": result.citation,
@@ -103,7 +106,7 @@ def plain(result: Reproduction) -> dict[str, object]:
             for b in result.bars
         ],
         "tables": [_plain_table(t) for t in result.tables],
-        "figures": [_plain_figure(f) for f in result.figures],
+        "figures": [_plain_figure(f, curves=curves) for f in result.figures],
     }
 
 
@@ -125,10 +128,10 @@ def _plain_table(table: Table) -> dict[str, object]:
     }
 
 
-def _plain_figure(figure: Figure) -> dict[str, object]:
-    panels = [_plain_panel(panel) for panel in figure.panels]
+def _plain_figure(figure: Figure, *, curves: bool) -> dict[str, object]:
     about: dict[str, object] = {"number": figure.number, "title": figure.title, "kind": figure.kind.value}
-    return about | {"note": figure.note, "panels": panels}
+    about |= {"note": figure.note}
+    return about | ({"panels": [_plain_panel(panel) for panel in figure.panels]} if curves else {})
 
 
 def _plain_panel(panel: Panel) -> dict[str, object]:
