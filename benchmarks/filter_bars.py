@@ -71,6 +71,9 @@ UNSCENTED = {
     "st-ukf": lambda space: st_ukf(StUkfParameters(robust_gate=None), space),
     "ast-ukf": lambda space: ast_ukf(StUkfParameters(robust_gate=None), space),
     "mast-ukf": lambda space: mast_ukf(MastUkfParameters(), space),
+}
+UNSCENTED_PRINTED = {  # where the process noise is too small, which is where they fail
+    **UNSCENTED,
     "mast-ukf (paper)": lambda space: mast_ukf(MastUkfParameters(form="paper"), space),
     "mast-ukf (printed)": lambda space: mast_ukf(MastUkfParameters(form="printed"), space),
 }
@@ -78,6 +81,9 @@ CUBATURE = {
     "srckf": lambda space: srckf(SrckfParameters(robust_gate=None), space),
     "isrckf": lambda space: isrckf(SageHusaParameters(), space),
     "sh-ekf": lambda space: sh_ekf(SageHusaParameters(), space),
+}
+CUBATURE_PRINTED = {  # behind a braking vehicle, likewise
+    **CUBATURE,
     "isrckf (fading)": lambda space: isrckf(SageHusaParameters(form="fading"), space),
     "sh-ekf (mean)": lambda space: sh_ekf(SageHusaParameters(form="mean"), space),
 }
@@ -183,7 +189,7 @@ def traffic_rows(runs: int, seeds: range) -> list[dict[str, object]]:
             "defects": bool(defects), "louder": louder,
         }  # fmt: skip
         found = paired(
-            UNSCENTED,
+            UNSCENTED_PRINTED if accel_std == 1.0 else UNSCENTED,
             "ukf",
             lambda make, seed, space=space, true=true, radar=radar: fly(make(space), true, radar, seed, runs),
             seeds,
@@ -202,7 +208,7 @@ def following_rows(runs: int, seeds: range) -> list[dict[str, object]]:
             "accel_std_mps2": accel_std, "doppler": doppler, "assumed": assumed, "brake_mps2": brake,
         }  # fmt: skip
         found = paired(
-            CUBATURE,
+            CUBATURE_PRINTED if brake > 0.0 else CUBATURE,
             "srckf",
             lambda make, seed, space=space, radar=radar, known=known, brake=brake: follow(
                 make(space), radar, known, seed, runs, brake_mps2=brake

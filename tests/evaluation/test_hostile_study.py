@@ -19,6 +19,11 @@ def test_every_filter_stays_sound_under_hostile_scans(name):
     assert found.least_eigenvalue > 0.0
 
 
+def test_a_track_that_ran_away_under_an_undamped_acceleration_stays_sound():
+    # without a bound on what fading makes of a covariance, 32 of these scans lost its definiteness
+    assert endure(make_filter("astekf-paper"), 12_000, 207).sound
+
+
 @dataclasses.dataclass(frozen=True)
 class Broken(Ekf):
     """A filter that subtracts where it should not, now and then."""

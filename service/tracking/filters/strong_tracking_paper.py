@@ -29,6 +29,8 @@ from service.tracking.measurement import linearise
 from service.tracking.model import F64
 from service.tracking.motion import constant_acceleration
 
+WIDEST_M2, WIDEST_M2PS2, WIDEST_M2PS4 = 1e7, 1e6, 1e5  # 3 km, 1 km/s, 300 m/s^2: no vehicle does that
+
 
 @dataclass(frozen=True, slots=True)
 class Stekf:
@@ -117,4 +119,18 @@ def fade(prediction: Prediction, innovations: Innovations, H: F64, p: AstekfPape
         float(p.softening_start), float(p.softening_step), p.warm_up, float(p.score_forgetting),
         float(p.score_tolerance), SMOOTHER, faded,
     )  # fmt: skip
-    return faded
+    return faded if p.clip is None else _no_wider_than_anything(faded, prediction.cov)
+
+
+def _no_wider_than_anything(faded: F64, unfaded: F64) -> F64:
+    """Return the faded covariances, or the unfaded where the fading goes beyond all that vehicles do.
+
+    Factors compound, and an undamped acceleration runs away with a track that has lost its vehicle. Where
+    even the unfaded covariance is too wide, it is cut to its diagonal within the bounds: it is so by nearly
+    perfect correlations, which rounding would turn into negative variances when a precise measurement comes.
+    """
+    widest = np.array([WIDEST_M2, WIDEST_M2PS2, WIDEST_M2PS4] * 2)
+    wide, wider = (np.diagonal(cov, axis1=1, axis2=2) for cov in (unfaded, faded))
+    cut = np.minimum(wide, widest)[:, :, None] * np.eye(len(widest))
+    kept = np.where(np.asarray((wide > widest).any(axis=1))[:, None, None], cut, unfaded)
+    return np.where(np.asarray((wider > widest).any(axis=1))[:, None, None], kept, faded)
