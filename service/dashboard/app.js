@@ -6,6 +6,7 @@ import { Details } from "./details.js";
 import { EmptyState } from "./empty.js";
 import { speedNumber, UNITS } from "./format.js";
 import { Health } from "./health.js";
+import { LaneMap } from "./lanes.js";
 import { LivePoll } from "./live.js";
 import { Plan } from "./plan.js";
 import { readAccess, SignIn, signOut } from "./sign_in.js";
@@ -121,7 +122,7 @@ function showAccess() {
   if (access === "signed-out") part("sensor-field").hidden = true;
 }
 
-/** @param {"labels" | "trails" | "points"} name */
+/** @param {"labels" | "trails" | "points" | "lanes"} name */
 function bindSwitch(name) {
   const box = /** @type {HTMLInputElement} */ (part(`show-${name}`));
   box.checked = store.state.preferences[name];
@@ -132,6 +133,7 @@ function bindControls() {
   bindSwitch("labels");
   bindSwitch("trails");
   bindSwitch("points");
+  bindSwitch("lanes");
   const units = /** @type {HTMLSelectElement} */ (part("units"));
   units.value = store.state.preferences.units;
   units.addEventListener("change", () => {
@@ -174,6 +176,7 @@ function followAccess() {
 bindControls();
 followAccess();
 new TrackTable(part("tracks"), store);
+new LaneMap(store);
 new Details(part("details"), store);
 new CountLines(part("lines"), store);
 new Health({ list: part("health"), failure: part("failure"), version: part("version") }, store);

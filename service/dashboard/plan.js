@@ -2,6 +2,7 @@
 
 import { listenForGestures } from "./gestures.js";
 import { Labels } from "./labels.js";
+import { drawLanes } from "./lanes.js";
 import { drawDraft, drawScenery } from "./scenery.js";
 import { readTheme } from "./theme.js";
 import { Trails } from "./trails.js";
@@ -115,10 +116,12 @@ export class Plan {
   /** @param {number} nowMs */
   #draw(nowMs) {
     this.#dirty = false;
-    const { live, preferences, selected, draft } = this.store.state;
+    const { live, preferences, selected, draft, lanes } = this.store.state;
     const [pen, view, theme] = [this.pen, this.#view, this.#theme];
     pen.setTransform(this.#pixelRatio, 0, 0, this.#pixelRatio, 0, 0);
     const names = drawScenery(pen, view, theme, this.store.sensor);
+    const shownLanes = preferences.lanes ? lanes : [];
+    drawLanes(pen, view, theme, shownLanes);
     if (draft !== null) drawDraft(pen, view, theme, draft);
     const aheadS = this.#aheadS();
     this.#drawn = (live?.tracks ?? []).map((track) => placed(view, track, aheadS, track.track_id === selected));
@@ -131,7 +134,7 @@ export class Plan {
     const labels = preferences.labels
       ? this.#labels.draw(pen, theme, this.#drawn, preferences.units, names)
       : 0;
-    this.#tell({ tracks: this.#drawn.length, points, labels, trails: trails.length, version: live?.version ?? "" });
+    this.#tell({ tracks: this.#drawn.length, points, labels, trails: trails.length, lanes: shownLanes.length, version: live?.version ?? "" });
   }
 
   /** @returns {number} seconds by which the tracks are older than now, within reason */

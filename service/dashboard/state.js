@@ -53,6 +53,7 @@
  * @property {boolean} labels
  * @property {boolean} trails
  * @property {boolean} points
+ * @property {boolean} lanes
  * @property {string | null} sensorId
  */
 
@@ -65,6 +66,7 @@
  * @property {number} liveAtMs when `live` came, by performance.now()
  * @property {number | null} failingSinceMs null: the server answers
  * @property {string | null} selected id of the track that is highlighted
+ * @property {import("./lanes.js").Lane[]} lanes of the sensor that is shown
  * @property {[number, number][] | null} draft ends of a count line that is being drawn, in plan metres; null: none is
  * @property {Preferences} preferences
  */
@@ -90,6 +92,7 @@ export class Store {
       liveAtMs: 0,
       failingSinceMs: null,
       selected: null,
+      lanes: [],
       draft: null,
       preferences: readPreferences(),
     };
@@ -143,7 +146,7 @@ export class Store {
 /** @returns {Preferences} */
 function readPreferences() {
   /** @type {Preferences} */
-  const usual = { units: "kmh", labels: true, trails: true, points: false, sensorId: null };
+  const usual = { units: "kmh", labels: true, trails: true, points: false, lanes: true, sensorId: null };
   try {
     const stored = { ...usual, ...JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "{}") };
     return UNIT_NAMES.includes(stored.units) ? stored : usual;

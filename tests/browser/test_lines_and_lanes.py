@@ -1,11 +1,11 @@
-"""Count lines drawn by mouse in a real browser, before a real server."""
+"""Count lines drawn by mouse, and lanes, in a real browser, before a real server."""
 
 from __future__ import annotations
 
 import pytest
 from playwright.sync_api import expect
 
-from tests.api.serving import serving
+from tests.api.serving import serving, until
 from tests.browser.stream import RoadStream
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -60,3 +60,14 @@ def test_a_refused_line_says_why_and_stays_to_be_mended(lined, visit):
         page.get_by_role("button", name="Cancel").click()
         expect(page.get_by_role("button", name="Draw a line")).to_be_visible()
         assert lines_of(lined) == []
+
+
+def test_lanes_are_drawn_under_the_vehicles_and_can_be_hidden(lined, visit):
+    lane = {"index": 1, "points_m": [[2.0, 25.0], [2.0, 140.0]], "width_m": 3.5}
+    reply = lined.put("/sensors/lined/lanes", json={"action": "replace", "lanes": [lane]})
+    assert reply.status_code == 202, reply.text
+    until(lambda: lined.get("/sensors/lined/lanes").json()["lanes"])
+    with visit(lined.url) as page:
+        expect(page.locator("#plan")).to_have_attribute("data-lanes", "1")
+        page.get_by_label("Lanes").uncheck()
+        expect(page.locator("#plan")).to_have_attribute("data-lanes", "0")
