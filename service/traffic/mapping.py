@@ -1,8 +1,8 @@
 """Keep the lane map of a sensor: gather evidence, learn anew on a schedule, and put a map into force.
 
 A map learned from the state at one frame comes into force a fixed number of frames later, so that the
-learning may take its time and every replay meets it at the same frame. Vehicles seen before the first map are
-kept until it comes, and traced back then.
+learning may take its time and every replay meets it at the same frame. While the map is young the vehicles
+that have gone are kept, so that they can be traced back when it comes and whenever it gains a lane.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from service.traffic.drift import Drift, DriftParameters, judge, no_drift
 from service.traffic.evidence import Evidence, EvidenceParameters, add, latest, no_evidence
 from service.traffic.identity import IdentityParameters, difference, named
 from service.traffic.learning import LearningParameters, learn
-from service.traffic.model import NO_MAP, Lane, LaneDrift, LaneMap, Moment, Trajectory
+from service.traffic.model import NO_MAP, Lane, LaneChange, LaneDrift, LaneMap, Moment, Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,8 @@ class MappingParameters:
     young_paths: int = 120
     paths_min: int = 8
     ready_after: int = 40  # frames from the state that is learned from to the map in force
-    backlog: int = 200  # paths kept until the first map
+    backlog: int = 200  # paths kept while the map is young
+    same_change_s: float = 2.0  # changes of one vehicle nearer than this are one
     cover_first: float = 0.85  # of the evidence that must lie in the lanes of a first map ...
     cover_last: float = 0.3  # ... falling to this when there are `young_paths`
     near_m: float = 1.5  # of a lane's middle
@@ -43,6 +44,7 @@ class Mapping:
     map: LaneMap
     evidence: Evidence
     backlog: tuple[Trajectory, ...]
+    told: tuple[LaneChange, ...]  # changes of lanes, while the map is young
     drift: Drift
     frames: int  # folded
     slot: int  # of the schedule in which lanes were last looked for; -1: look at once
@@ -62,7 +64,7 @@ class Given:
 
 def no_mapping() -> Mapping:
     """Return the state before the first frame."""
-    return Mapping(NO_MAP, no_evidence(), (), no_drift(), 0, -1, 0, 0, None, 0)
+    return Mapping(NO_MAP, no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, 0)
 
 
 def begun_anew(mapping: Mapping) -> Mapping:
@@ -94,7 +96,7 @@ def _in_force(mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source:
         lanes=lanes,
     )
     drift = mapping.drift if source == "learned" else no_drift()
-    return replace(mapping, map=new, coming=None, backlog=(), drift=drift)
+    return replace(mapping, map=new, coming=None, drift=drift)
 
 
 def gather(
@@ -112,12 +114,32 @@ def gather(
         if news is not None and news.opened:
             # the paths before those that do not fit are of the road as it was
             evidence = latest(evidence, round(news.share * news.vehicles))
-        backlog = mapping.backlog
-        if not mapping.map.version and len(path.samples.number):
+        backlog, changes = mapping.backlog, mapping.told
+        if len(evidence.paths) >= p.young_paths:
+            backlog, changes = (), ()
+        elif len(path.samples.number):
             backlog = (*backlog, path)[-p.backlog :]
-        mapping = replace(mapping, evidence=evidence, backlog=backlog, drift=drift)
+        mapping = replace(mapping, evidence=evidence, backlog=backlog, told=changes, drift=drift)
         told = news or told
     return mapping, told
+
+
+def told_once(
+    mapping: Mapping, changes: tuple[LaneChange, ...], p: MappingParameters
+) -> tuple[Mapping, tuple[LaneChange, ...]]:
+    """Return the state, and the changes without those that were told of before, by an earlier map."""
+    near_us = 1e6 * p.same_change_s
+    fresh = tuple(
+        change
+        for change in changes
+        if not any(
+            change.number == other.number and abs(change.time_us - other.time_us) < near_us
+            for other in mapping.told
+        )
+    )
+    if len(mapping.evidence.paths) < p.young_paths:
+        mapping = replace(mapping, told=(*mapping.told, *fresh)[-p.backlog :])
+    return mapping, fresh
 
 
 def look(  # noqa: PLR0913, PLR0917 - one group of parameters a stage

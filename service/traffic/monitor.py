@@ -20,7 +20,7 @@ from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, 
 from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
-from service.traffic.vehicles import Vehicles, aligned, no_vehicles
+from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, no_vehicles
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,8 @@ def step(
     paths, finished = follow(state.paths, moment, estimates, p.paths)
     counts, counted = count(state.counts, moment, estimates, state.map, setup)
     mapping, drift = state.mapping, None
+    if traced or changes:
+        mapping, changes = lane_mapping.told_once(mapping, (*traced, *changes), p.mapping)
     if finished:
         mapping, drift = lane_mapping.gather(mapping, finished, p.evidence, p.drift, p.mapping)
     if not moment.tick:
@@ -75,7 +77,7 @@ def step(
             mapping, moment, setup.config.sensor_id, p.learning, p.identity, p.mapping
         )
     state = TrafficState(mapping, state.chart, vehicles, paths, counts)
-    return state, estimates, Outputs(finished, (*traced, *changes), found, drift, counted)
+    return state, estimates, Outputs(finished, changes, found, drift, counted)
 
 
 def last_words(state: TrafficState) -> Outputs:
@@ -105,7 +107,8 @@ def _map_in_force(
         return state, None, ()
     state = replace(state, chart=chart_of(mapping.map))
     traced: tuple[LaneChange, ...] = ()
-    if not before.map.version:
+    known = {lane.index for lane in before.map.lanes}
+    if mapping.map.source == "learned" and any(lane.index not in known for lane in mapping.map.lanes):
         state, traced = _trace_back(state, before, setup.parameters)
     return state, mapping.map, traced
 
@@ -113,7 +116,7 @@ def _map_in_force(
 def _trace_back(
     state: TrafficState, before: Mapping, p: TrafficParameters
 ) -> tuple[TrafficState, tuple[LaneChange, ...]]:
-    """Judge, by the first map, what was seen before it: vehicles that have gone, and those still there."""
+    """Judge by a new map what was seen before it: vehicles that have gone, and those still there."""
     gone = [path.samples for path in before.backlog]
     past = join((state.paths.past, *state.paths.recent))
     version = state.map.version
@@ -121,7 +124,7 @@ def _trace_back(
     for samples in gone:
         passing = no_vehicles(np.unique(samples.number))
         found += retrace(passing, samples, state.chart, version, p.assignment)[1]
-    vehicles = aligned(state.vehicles, state.paths.number)
+    vehicles = _unjudged(aligned(state.vehicles, state.paths.number))
     here: Samples = retraced(past, state.paths.number)
     lane, changes = retrace(vehicles, here, state.chart, version, p.assignment)
     found += changes
@@ -129,3 +132,12 @@ def _trace_back(
     return replace(state, vehicles=vehicles, paths=paths), tuple(
         sorted(found, key=lambda c: (c.time_us, c.number))
     )
+
+
+def _unjudged(vehicles: Vehicles) -> Vehicles:
+    """Return the vehicles as if their lanes had never been judged; how they move is known all the same."""
+    fresh = no_vehicles(vehicles.number)
+    whole, real = fresh.whole.copy(), fresh.real.copy()
+    whole[:, MOTION_COLUMNS] = vehicles.whole[:, MOTION_COLUMNS]
+    real[:, AHEAD_COLUMNS] = vehicles.real[:, AHEAD_COLUMNS]
+    return Vehicles(vehicles.number, whole, real)

@@ -14,6 +14,9 @@ WHOLE_COLUMNS = 10
 # columns of `real`
 LAST_X, LAST_Y, CROSSED_X, CROSSED_Y, AHEAD_X, AHEAD_Y = range(6)
 REAL_COLUMNS = 6
+# of the motion state, in both tables
+MOTION_COLUMNS = [MOTION, ZONE, IN_A_ROW, STOPPED_US]
+AHEAD_COLUMNS = [AHEAD_X, AHEAD_Y]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,263 @@
+"""Measure lanes, lane changes, motion states and their cost, with the tracker in the loop.
+
+    python benchmarks/lanes.py [SCENE_DIR...] [--simulate NAME:SEED[:SECONDS]]... [--trajectories CSV]...
+        [--json OUT.json]
+
+SCENE_DIR is a scene with truth; NAME is a scenario of `wayside simulate`, made for the occasion; CSV holds
+real trajectories with lanes beside them (NAME.lanes.json), at which the simulated radar looks. Times are CPU
+time of the traffic stages alone, without the first second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+
+from service import __version__
+from service.evaluation.counted import count
+from service.evaluation.kinematics import Matches, match
+from service.evaluation.lanes import score_changes, score_lanes
+from service.evaluation.recorded import FoundChange, FoundLane, RecordedTracks, record
+from service.evaluation.rules import RULES
+from service.evaluation.truth import Scene, TruthChange, read_scene
+from service.formats.json_frames import read_frames
+from service.formats.sensor import SensorConfig
+from service.simulation.scenario import from_trajectories
+from service.simulation.scene_files import write_scene
+from service.simulation.trajectories import read_trajectories
+from service.tracking import tracker
+from service.tracking.model import Frame, MotionState, TrackEstimates
+from service.traffic import monitor
+from service.traffic.curves import beside
+from service.traffic.model import Lane, LaneChange, LaneMap, Moment
+from service.traffic.parameters import traffic_setup
+
+STANDING_MPS = 0.3
+STANDS = (MotionState.STATIONARY, MotionState.START_STOP)
+SETTLED_S = 6.0  # a manoeuvre whose ends the truth had to cut off here is no complete change of lanes
+SIGHT_M = (25.0, 140.0)
+MAST_M = 30.0  # before the first vehicle of real trajectories
+USED_BY = 5  # vehicles, for a true lane to count
+NEAR_M = 1.2  # of a true lane to the learned one that is taken for it
+
+
+@dataclass
+class Run:
+    """What the fold's two steps gave for a recording."""
+
+    map: LaneMap
+    live: LaneMap
+    changes: list[LaneChange] = field(default_factory=list)
+    scans: list[tuple[int, int, TrackEstimates]] = field(default_factory=list)  # frame, time, tracks
+    ms: list[float] = field(default_factory=list)
+
+
+def run(frames: Iterable[Frame], config: SensorConfig) -> Run:
+    parameters, setup = config.tracker_parameters(), traffic_setup(config)
+    state, traffic = tracker.initial_state(parameters), monitor.initial_state()
+    found = Run(traffic.map, traffic.map)
+    for number, frame in enumerate(frames):
+        state, estimates, _ = tracker.step(state, frame, parameters)
+        moment = Moment(frame.time_us, frame.sequence if frame.sequence is not None else number, tick=False)
+        begun = time.process_time()
+        traffic, estimates, out = monitor.step(traffic, moment, estimates, setup)
+        found.ms.append(1e3 * (time.process_time() - begun))
+        found.changes += out.changes
+        found.scans.append((moment.frame, frame.time_us, estimates))
+    time_us = moment.time_us
+    for _ in range(10):  # until every track has ended
+        time_us += 1_000_000
+        state, estimates, _ = tracker.coast(state, time_us, parameters)
+        traffic, _, out = monitor.step(traffic, Moment(time_us, moment.frame, tick=True), estimates, setup)
+        found.changes += out.changes
+    found.live, found.map = traffic.map, monitor.whole_map(traffic, setup)
+    return found
+
+
+def tracks_of(found: Run, scene: Scene) -> RecordedTracks:
+    """The tracks as the scores read them."""
+    by_frame = {frame: now for frame, _, now in found.scans}
+    frames = []
+    for number in scene.number.tolist():
+        now = by_frame.get(number)
+        columns = () if now is None else (now.number, now.x_m, now.y_m, now.vx_mps, now.vy_mps)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        frames.append({str(row[0]): tuple(row[1:]) for row in rows})
+    return record(frames)
+
+
+def measure(directory: Path) -> dict[str, object]:
+    config = SensorConfig.model_validate_json((directory / "site.json").read_bytes())
+    scene = read_scene(directory)
+    found = run(read_frames([directory / "frames.jsonl.gz"], config), config)
+    tracks = tracks_of(found, scene)
+    matches = match(count(scene, tracks, RULES), tracks, RULES)
+    lanes = [FoundLane(lane.lane_id, lane.points_m) for lane in found.map.lanes if lane.kind == "lane"]
+    scores, _ = score_lanes(scene, lanes, RULES)
+    live = [FoundLane(lane.lane_id, lane.points_m) for lane in found.live.lanes if lane.kind == "lane"]
+    origin_s = scene.origin_s
+    changes = [FoundChange(c.time_us / 1e6 - origin_s, str(c.number)) for c in found.changes]
+    scores |= score_changes(scene, changes, tracks, matches, RULES)
+    scores |= complete_changes(scene, changes, tracks, matches)
+    scores |= standing(scene, found, tracks, matches)
+    return {
+        "scene": scene.name,
+        **scores,
+        "live_lanes_right": score_lanes(scene, live, RULES)[0]["lanes_right"],
+        "turns": sum(lane.kind == "turn" for lane in found.map.lanes),
+        **cost(found),
+    }
+
+
+def cost(found: Run) -> dict[str, float]:
+    ms = np.array(found.ms[20:])
+    tracks = float(np.mean([len(now) for _, _, now in found.scans]))
+    return {
+        "ms_mean": round(float(ms.mean()), 3), "ms_median": round(float(np.median(ms)), 3),
+        "ms_p99": round(float(np.quantile(ms, 0.99)), 3), "ms_max": round(float(ms.max()), 2),
+        "tracks_mean": round(tracks, 1),
+    }  # fmt: skip
+
+
+def complete_changes(
+    scene: Scene, changes: list[FoundChange], tracks: RecordedTracks, matches: Matches
+) -> dict[str, float | int]:
+    """Recall of the manoeuvres that went all the way from one middle to the other, in sight of the radar."""
+    since = scene.time_s - scene.origin_s
+
+    def whole(change: TruthChange) -> bool:
+        rows = scene.rows
+        first, last = rows.start[np.argmin(np.abs(since - change.t_s)) + np.arange(2)]
+        here = first + np.flatnonzero(rows.vehicle[first:last] == change.vehicle)
+        sight = len(here) and SIGHT_M[0] < math.hypot(rows.x_m[here[0]], rows.y_m[here[0]]) < SIGHT_M[1]
+        return bool(sight) and max(change.t_s - change.start_s, change.end_s - change.t_s) < SETTLED_S - 0.1
+
+    chosen = tuple(change for change in scene.changes if whole(change))
+    scores = score_changes(dataclasses.replace(scene, changes=chosen), changes, tracks, matches, RULES)
+    return {"complete_true": len(chosen), "complete_recall": scores["changes_recall"]}
+
+
+def standing(scene: Scene, found: Run, tracks: RecordedTracks, matches: Matches) -> dict[str, float | int]:
+    """The share of the time of standing vehicles, as far as tracked, in which they are taken for that."""
+    motion = {(frame, str(n)): m for frame, _, now in found.scans
+              for n, m in zip(now.number.tolist(), now.motion.tolist(), strict=True)}  # fmt: skip
+    speed = np.hypot(scene.rows.vx_mps[matches.row], scene.rows.vy_mps[matches.row])
+    still = np.flatnonzero(speed < STANDING_MPS)
+    judged = [
+        motion[int(scene.number[matches.frame[k]]), tracks.ids[tracks.track[matches.state[k]]]] in STANDS
+        for k in still
+    ]
+    return {"standing_states": len(judged), "standing_right": float(np.mean(judged)) if judged else math.nan}
+
+
+def measure_trajectories(path: Path, seed: int) -> dict[str, object]:
+    """Lanes from the simulated radar's view of real vehicles; it looks along the road from before them."""
+    truth = read_trajectories(path)
+    away = np.column_stack([truth.x_m, truth.y_m])
+    heading = math.atan2(float(truth.vx_mps.sum()), float(truth.vy_mps.sum()))
+    ahead = np.array([math.sin(heading), math.cos(heading)])
+    along = away @ ahead
+    middle = np.median(away - along[:, None] * ahead, axis=0) + (along.min() - MAST_M) * ahead
+    placed = truth.moved(x_m=float(middle[0]), y_m=float(middle[1]), heading_rad=heading)
+    config = SensorConfig()
+    found = run((s.frame for s in from_trajectories(placed, seed=seed)), config)
+    content = json.loads(path.with_name(path.name.replace(".csv.gz", ".lanes.json")).read_text())
+    turn = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
+    lines: dict[str, list[np.ndarray]] = {}
+    for lane in content["lanes"]:
+        points = (np.array(lane["centerline"]) - middle) @ turn
+        lines.setdefault(str(lane["lane_id"]), []).append(points)
+    learned = [lane for lane in found.map.lanes if lane.kind == "lane"]
+    partner: dict[str, float] = {}
+    for name, parts in lines.items():
+        users = (
+            len(set(placed.vehicle_id[placed.lane == placed.lane_ids.index(name)].tolist()))
+            if name in placed.lane_ids
+            else 0
+        )
+        if users >= USED_BY:
+            partner[name] = _nearest(np.concatenate(parts), learned)
+    right = {name: away_m for name, away_m in partner.items() if away_m < NEAR_M}
+    return {
+        "scene": path.name.removesuffix(".csv.gz"), "vehicles": len(np.unique(truth.vehicle_id)),
+        "lanes_true": len(partner), "lanes_found": len(learned), "lanes_right": len(right),
+        "lane_offset_mean_m": float(np.mean(list(right.values()))) if right else math.nan,
+        "offsets_m": {name: round(away_m, 2) for name, away_m in partner.items()}, **cost(found),
+    }  # fmt: skip
+
+
+def _nearest(points: np.ndarray, learned: list[Lane]) -> float:
+    """The mean distance of a true lane from the learned one that lies nearest to it."""
+    sight = np.hypot(*points.T)
+    points = points[(sight > SIGHT_M[0]) & (sight < SIGHT_M[1])]
+    best = math.inf
+    for lane in learned:
+        place = beside(points, lane.points_m)
+        if (~place.beyond).mean() > 0.4:
+            best = min(best, float(np.abs(place.right_m[~place.beyond]).mean()))
+    return best
+
+
+def pooled(results: list[dict]) -> dict[str, object]:
+    """Lane changes of all scenes together."""
+    scenes = [r for r in results if "changes_true" in r]
+    true, found = sum(r["changes_true"] for r in scenes), sum(r["changes_found"] for r in scenes)
+    hits = sum(r["changes_recall"] * r["changes_true"] for r in scenes)
+    whole = sum(r["complete_true"] for r in scenes)
+    whole_hits = sum(r["complete_recall"] * r["complete_true"] for r in scenes if r["complete_true"])
+    return {
+        "scene": "pooled", "changes_true": true, "changes_found": found,
+        "changes_recall": hits / max(true, 1), "changes_precision": hits / max(found, 1),
+        "complete_true": whole, "complete_recall": whole_hits / max(whole, 1),
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("scenes", nargs="*", type=Path)
+    parser.add_argument("--simulate", action="append", default=[], metavar="NAME:SEED[:SECONDS]")
+    parser.add_argument("--trajectories", action="append", default=[], type=Path, metavar="CSV")
+    parser.add_argument("--json", type=Path)
+    chosen = parser.parse_args()
+    results = []
+    for directory in chosen.scenes:
+        results.append(measure(directory))
+        show(results[-1])
+    for text in chosen.simulate:
+        name, seed, *rest = text.split(":")
+        with tempfile.TemporaryDirectory() as folder:
+            write_scene(name, Path(folder), seed=int(seed), duration_s=float(rest[0]) if rest else None)
+            results.append(measure(Path(folder)) | {"scene": f"simulated {text}"})
+        show(results[-1])
+    for path in chosen.trajectories:
+        results.append(measure_trajectories(path, seed=1))
+        show(results[-1])
+    results.append(pooled(results))
+    show(results[-1])
+    if chosen.json is not None:
+        about = {"version": __version__, "machine": platform.machine(), "results": results}
+        chosen.json.write_text(json.dumps(about, indent=1, default=float) + "\n")
+
+
+def show(result: dict[str, object]) -> None:
+    print(
+        " ".join(f"{k}={v:.3f}" if isinstance(v, float) else f"{k}={v}" for k, v in result.items()),
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()
