@@ -27,9 +27,10 @@ MAY_IMPORT = {
     "telemetry": {"settings"},
     "pipeline": {"storage", "formats", "traffic", "tracking", "settings", "telemetry", "warmup"},
     "api": {"pipeline", "storage", "formats", "traffic", "tracking", "settings", "telemetry"},
+    "chaos": {"api", "pipeline", "storage", "formats", "tracking", "settings"},
     "cli": {
         "api", "pipeline", "storage", "formats", "traffic", "tracking", "settings", "telemetry", "simulation",
-        "evaluation", "warmup",
+        "evaluation", "warmup", "chaos",
     },
 }  # fmt: skip
 FOR_EVERYBODY = {"errors", "__version__"}

@@ -9,6 +9,7 @@ import typer
 from service import __version__
 from service.cli import key, sensor
 from service.cli.bench import bench
+from service.cli.chaos import chaos
 from service.cli.compare import compare
 from service.cli.count_check import count_check
 from service.cli.demo import demo
@@ -39,6 +40,7 @@ for command in (
     count_check,
     reproduce,
     bench,
+    chaos,
     migrate,
 ):
     app.command()(command)

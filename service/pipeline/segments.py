@@ -14,7 +14,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import StorageError
+from service.errors import StorageError, Unavailable
 
 PAGE_BYTES = 8192  # three or four frames of 100 points a page
 # Rows lie in the order in which they came, so that every page is filled before the next is begun; the key is
@@ -35,6 +35,21 @@ DELETE FROM record WHERE sensor = ? AND position IN (
 PURGED_RECORDS = 500  # of one transaction
 
 
+_NO_DAMAGE = frozenset(
+    {
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_PERM,
+        sqlite3.SQLITE_NOMEM,
+    }
+)
+_PRIMARY_CODE = 0xFF  # SQLite's extended result codes keep the primary one in the lowest byte
+
+
 @dataclass(frozen=True, slots=True)
 class Extent:
     """The positions of one sensor inside a segment, both ends included."""
@@ -49,7 +64,7 @@ class Segment:
     def __init__(self, path: Path, carried: Mapping[str, int]) -> None:
         """Open the file, or create it with the newest position of every sensor so far.
 
-        Raises StorageError when the file is damaged.
+        Raises StorageError when the file is damaged, Unavailable when the disk is full or does not answer.
         """
         self.path = path
         self.extents: dict[str, Extent] = {}
@@ -60,6 +75,8 @@ class Segment:
             self._prepare(carried, check=unclean)
         except sqlite3.DatabaseError as error:
             self.close()
+            if _code(error) in _NO_DAMAGE:  # such a file must not be set aside
+                raise Unavailable(f"the log file {path.name} cannot be opened: {error}") from error
             raise StorageError(f"the log file {path.name} is damaged: {error}") from error
         self._reading = threading.Lock()
 
@@ -133,6 +150,12 @@ def set_aside(path: Path) -> None:
 
 def _beside(path: Path, suffix: str) -> Path:
     return path.with_name(path.name + suffix)
+
+
+def _code(error: sqlite3.Error) -> int | None:
+    """Return SQLite's own code of an error, None for one of Python's module."""
+    code: int | None = getattr(error, "sqlite_errorcode", None)
+    return None if code is None else code & _PRIMARY_CODE
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -17,6 +17,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -193,7 +194,8 @@ class SqliteLog:
         with self._guard:
             segment = Segment(_next_path(newest.path), self._last)
             self._segments.append(segment)
-        newest.seal()
+        with suppress(sqlite3.Error):  # no room for it: the write-ahead file stays, nothing is lost
+            newest.seal()
         return segment
 
     # ------------------------------------------------------------- reading

@@ -253,6 +253,19 @@ def test_positions_go_on_when_every_record_of_a_sensor_was_dropped(small_log, tm
         again.close()
 
 
+def test_a_new_file_that_cannot_be_made_now_is_no_damage_and_the_log_goes_on_later(small_log, tmp_path):
+    obstacle = tmp_path / "segment-00000002.sqlite"
+    obstacle.mkdir()
+
+    with pytest.raises(Unavailable, match="cannot be opened"):
+        append_all(small_log, big_records(40))
+    obstacle.rmdir()
+    last = small_log.last_position("radar-1")
+
+    assert small_log.append("radar-1", big_records(1)) == [last + 1]
+    assert not list(tmp_path.glob("*.damaged"))
+
+
 def test_a_nearly_full_disk_refuses_frames(tmp_path):
     frame_log = SqliteLog(tmp_path, LogLimits(free_share=1.0))
     try:

@@ -1,0 +1,145 @@
+"""Cut a host at many seeded moments, let it go on, and compare what it stored with an uninterrupted run."""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from service.chaos import child, process
+from service.chaos.cut import Kind, Phase, Plan
+from service.chaos.evidence import Evidence, gather
+from service.chaos.process import FAILED, Ended
+from service.chaos.workload import Batch, batches
+from service.errors import StorageError
+
+FRAMES = 160  # of each radar in one run
+TRIES = 5  # to reach the moment of a plan: how often rows are flushed depends on the machine
+
+_ROUND = (  # every phase comes up in ten cuts
+    Phase.BATCH, Phase.FLUSH, Phase.SNAPSHOT, Phase.SEGMENT, Phase.MIGRATION, Phase.OPENING, Phase.REPLY,
+    Phase.ANY, Phase.DROP, Phase.BATCH,
+)  # fmt: skip
+_KINDS = (Kind.KILL, Kind.KILL, Kind.POWER, Kind.POWER, Kind.TORN)
+_LONGEST_DELAY = 9  # a commit is one to eight operations on the disk
+_OPENING_OPERATIONS = 60  # that a recovery has at least
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one run that was cut."""
+
+    plan: Plan
+    acknowledged: int  # batches before the cut
+    durable_unheard: bool  # the batch under way was in the log, and its sender had not heard so
+    differences: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether the run ended as if it had not been cut."""
+        return not self.differences
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """The uninterrupted run."""
+
+    work: list[Batch]
+    evidence: Evidence
+    outcomes: list[list[str]]
+    seen: dict[str, int]  # how often each phase came up
+    watched: bool = True  # the layer below SQLite is there, so power cuts can be made
+
+
+@dataclass(slots=True)
+class Suite:
+    """The runs of one seed."""
+
+    seed: int
+    frames: int = FRAMES
+    folder: Path = field(default_factory=lambda: Path(tempfile.gettempdir()))
+    tell: Callable[[str], None] = lambda _: None
+
+    def reference(self) -> Reference:
+        """Run without a cut."""
+        work = batches(self.frames, self.seed)
+        with tempfile.TemporaryDirectory(dir=self.folder, prefix="wayside-chaos-") as name:
+            ended = run(Path(name), work, 0)
+            _require_end(ended)
+            *said, last = ended.said
+            seen = last["seen"]
+            assert isinstance(seen, dict)  # noqa: S101 - our own message
+            return Reference(work, gather(Path(name)), _outcomes(said), seen, bool(last["watched"]))
+
+    def plans(self, count: int, reference: Reference) -> list[Plan]:
+        """Return the moments of the cuts; equal seeds give equal plans for equal counts of the reference."""
+        rng = random.Random(self.seed)  # noqa: S311 - no secret
+        made: list[Plan] = []
+        for index in range(count):
+            phase = _ROUND[index % len(_ROUND)]
+            often = reference.seen.get(Phase.ANY if phase is Phase.OPENING else phase, 0)
+            if not often:  # a short run drops nothing
+                phase, often = Phase.BATCH, reference.seen[Phase.BATCH]
+            made.append(
+                Plan(
+                    phase,
+                    rng.randint(1, max(1, 4 * often // 5)),
+                    rng.randint(-1, _LONGEST_DELAY) if reference.watched else -1,
+                    rng.choice(_KINDS) if reference.watched else Kind.KILL,
+                    rng.getrandbits(32),
+                )
+            )
+        return made
+
+    def cut(self, plan: Plan, reference: Reference) -> Outcome:
+        """Carry out one plan."""
+        for _ in range(TRIES):
+            with tempfile.TemporaryDirectory(dir=self.folder, prefix="wayside-chaos-") as name:
+                outcome = _cut(Path(name), plan, reference)
+            if outcome is not None:
+                return outcome
+            plan = replace(plan, occurrence=max(1, plan.occurrence // 2), delay=min(plan.delay, 0))
+        raise StorageError(f"the moment of {plan} never came")
+
+
+def _cut(data_dir: Path, plan: Plan, reference: Reference) -> Outcome | None:
+    """Return what became of the run, None when it ended before the moment of its cut."""
+    first_plan = replace(plan, phase=Phase.ANY) if plan.phase is Phase.OPENING else plan
+    ended = run(data_dir, reference.work, 0, first_plan)
+    if not ended.killed:
+        _require_end(ended)
+        return None
+    said = ended.said
+    if plan.phase is Phase.OPENING:  # cut once more while the first cut is recovered from
+        again = Plan(plan.phase, 1 + plan.seed % _OPENING_OPERATIONS, 0, plan.kind, plan.seed)
+        ended = run(data_dir, reference.work, len(said), again)
+        said = said + [message for message in ended.said if "batch" in message]
+    acknowledged = len(said)
+    ended = run(data_dir, reference.work, acknowledged)
+    _require_end(ended)
+    outcomes = _outcomes([*said, *ended.said[:-1]])
+    differences = gather(data_dir).differences(reference.evidence)
+    unheard = acknowledged < len(outcomes) and set(outcomes[acknowledged]) == {"duplicate"}
+    if unheard:
+        outcomes[acknowledged] = reference.outcomes[acknowledged]
+    if outcomes != reference.outcomes:
+        wrong = [n for n, (a, b) in enumerate(zip(outcomes, reference.outcomes, strict=True)) if a != b]
+        differences.append(f"other answers to the batches {wrong[:5]}")
+    return Outcome(plan, acknowledged, unheard, tuple(differences))
+
+
+def run(data_dir: Path, work: Sequence[Batch], first: int, plan: Plan | None = None) -> Ended:
+    """Post what is left of the work in a process of its own."""
+    return process.start(lambda say: child.post(say, data_dir, work, first, plan=plan)).end()
+
+
+def _outcomes(said: Sequence[dict[str, object]]) -> list[list[str]]:
+    return [[str(item) for item in outcome] for m in said if isinstance(outcome := m["outcomes"], list)]
+
+
+def _require_end(ended: Ended) -> None:
+    if ended.code or ended.signal is not None:
+        reason = "it raised an error" if ended.code == FAILED else f"signal {ended.signal}"
+        raise StorageError(f"a process of the run failed by itself ({reason}); its traceback is above")
