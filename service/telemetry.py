@@ -51,7 +51,7 @@ class Telemetry:
         )
         self.stage = Histogram(
             "wayside_stage_seconds",
-            "Time from one stage of a frame to the next: durable (since received), folded, stored.",
+            "Time since a frame was received until it was logged, folded, readable, stored.",
             ("stage",),
             registry=self.registry,
             buckets=_STAGE_BUCKETS_S,
@@ -80,12 +80,27 @@ class Telemetry:
             sensor,
             registry=self.registry,
         )
-        self.log_bytes = Gauge("wayside_log_bytes", "Size of the frame log.", registry=self.registry)
-        self.log_damaged = Gauge(
-            "wayside_log_damaged_records", "Records left out as damaged.", registry=self.registry
-        )
+        self._add_standing()
         self.build = Gauge("wayside_build_info", "1, with the version.", ("version",), registry=self.registry)
         self.build.labels(__version__).set(1)
+
+    def _add_standing(self) -> None:
+        """Add the gauges of ages, queues and sizes; `pipeline.health.show` sets them."""
+
+        def gauge(name: str, about: str, *labels: str) -> Gauge:
+            return Gauge(f"wayside_{name}", about, labels, registry=self.registry)
+
+        self.lag = gauge("lag_seconds", "Wait of the oldest frame logged and not folded.", "sensor_id")
+        self.unstored = gauge("unstored_frames", "Frames folded and not stored yet.", "sensor_id")
+        self.frame_age = gauge("frame_age_seconds", "Since the newest folded frame came.", "sensor_id")
+        self.stored_age = gauge("stored_age_seconds", "Since rows were stored last.", "sensor_id")
+        self.log_bytes = gauge("log_bytes", "Size of the frame log.")
+        self.log_files = gauge("log_files", "Files of the frame log.")
+        self.log_oldest_age = gauge("log_oldest_age_seconds", "Since the oldest kept frame came.")
+        self.log_waiting = gauge("log_waiting_records", "Records that wait for the disk.")
+        self.log_damaged = gauge("log_damaged_records", "Records left out as damaged.")
+        self.rows_bytes = gauge("rows_bytes", "Size of the embedded database.")
+        self.disk_free = gauge("disk_free_ratio", "Free share of the disk that holds the log.")
 
     def show_clock(self, sensor_id: str, skew_s: float | None, jitter_s: float | None) -> None:
         """Set the gauges of a sensor's clock where it is known."""

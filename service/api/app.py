@@ -14,6 +14,7 @@ from service import __version__
 from service.api import (
     audit,
     dashboard,
+    diagnosis,
     events,
     flow,
     frames,
@@ -82,6 +83,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         lanes,
         sensors,
         flow,
+        diagnosis,
         events,
         keys,
         audit,

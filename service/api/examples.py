@@ -209,8 +209,16 @@ READY: Final = {
 HEALTH: Final = {
     "status": "ok",
     "version": "0.1.0",
+    "lag_s": 0.0,
     "log_bytes": 1048576,
     "log_damaged_records": 0,
+    "storage": {
+        "log_files": 3,
+        "log_oldest_age_s": 86400.0,
+        "log_waiting_records": 0,
+        "rows_bytes": 4194304,
+        "disk_free_share": 0.62,
+    },
     "sensors": [
         {
             "sensor_id": "radar-1",
@@ -225,8 +233,24 @@ HEALTH: Final = {
             "clock_jitter_s": 0.0021,
             "clock_steps": 0,
             "queue_depth": 0,
+            "lag_s": 0.0,
+            "unstored_frames": 12,
         }
     ],
+}
+DIAGNOSIS: Final = {
+    "sensor_id": "radar-1",
+    "findings": [
+        {
+            "code": "yaw",
+            "severity": "fault",
+            "sentence": "The tracks run 1.02 deg to the right of the normals of the count lines.",
+            "evidence": {"yaw_deg": 1.02, "yaw_standard_error_deg": 0.03, "azimuth_offset_deg": -1.02},
+            "advice": "If the site file is right there, set azimuth_offset_deg to -1.02 (now 0).",
+        }
+    ],
+    "measured": {"rate_hz": 20.0, "missing_share": 0.0, "points_per_frame": 109.2},
+    "not_told": [],
 }
 PROBLEM: Final = {
     "type": "/problems/invalid-input",
@@ -332,6 +356,7 @@ RESPONSES: Final[dict[str, object]] = {
     **{name: _page(item) for name, item in flow_examples.PAGES.items()},
     **flow_examples.RESPONSES,
     "read_evidence": flow_examples.EVIDENCE | {"tracks": [TRACK]},
+    "read_diagnosis": DIAGNOSIS,
     "create_key": KEY_REPLY | {"secret": "Zx3vYkq0bX0mYw1pJ2u3VtQe5rS7aHc9dLfGiKjNoPM"},
     "rotate_key": KEY_REPLY | {"secret": "b7T1wqJm2KfQx9RzL4vNc8YhUe5sPdAi3GoXtBnMkWE", "rotated": TIME},
     "list_keys": _page(KEY_REPLY),

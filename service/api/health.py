@@ -7,13 +7,21 @@ from sqlalchemy import text
 
 from service import __version__
 from service.api.dependencies import ReadKey, Services, ServicesDep
-from service.api.schemas import AliveReply, CheckReply, HealthReply, ReadyReply, SensorHealthReply
+from service.api.schemas import (
+    AliveReply,
+    CheckReply,
+    HealthReply,
+    ReadyReply,
+    SensorHealthReply,
+    StorageReply,
+)
 from service.errors import WaysideError
-from service.pipeline.host import SensorHealth
+from service.pipeline.health import HostHealth, SensorHealth, StorageHealth
 from service.storage.database import connection
 
 router = APIRouter(tags=["health"])
 
+LAG_MOST_S = 5.0  # a live picture older than this is not one
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 
@@ -25,8 +33,9 @@ async def live() -> AliveReply:
 
 @router.get("/readyz", responses={503: {"model": ReadyReply, "description": "not ready"}})
 def ready(services: ServicesDep, response: Response) -> ReadyReply:
-    """Whether frames are taken, tracked and stored: one named check each."""
-    checks = [_host(services), _tracker(services), _database(services)]
+    """Whether frames are taken, tracked in time and stored: one named check each."""
+    found = services.host.health()
+    checks = [_host(services), _log(found), _tracker(found), _lag(found), _database(services)]
     if all(check.ok for check in checks):
         return ReadyReply(status="ready", checks=checks)
     response.status_code = status.HTTP_503_SERVICE_UNAVAILABLE
@@ -41,8 +50,10 @@ async def health(services: ServicesDep, _: ReadKey) -> HealthReply:
     return HealthReply(
         status="degraded" if degraded else "ok",
         version=__version__,
-        log_bytes=found.log_bytes,
-        log_damaged_records=found.log_damaged_records,
+        lag_s=round(found.lag_s, 3),
+        log_bytes=found.storage.log_bytes,
+        log_damaged_records=found.storage.log_damaged_records,
+        storage=_storage(found.storage),
         sensors=[_sensor(sensor) for sensor in found.sensors],
     )
 
@@ -59,8 +70,18 @@ def _host(services: Services) -> CheckReply:
     return CheckReply(name="host", ok=is_ready, detail="takes frames" if is_ready else "starting or stopping")
 
 
-def _tracker(services: Services) -> CheckReply:
-    found = services.host.health()
+def _log(found: HostHealth) -> CheckReply:
+    return CheckReply(name="log", ok=found.log_refusal is None, detail=found.log_refusal or "has room")
+
+
+def _lag(found: HostHealth) -> CheckReply:
+    detail = (
+        f"the oldest frame that is not tracked yet has waited {found.lag_s:.1f} s, at most {LAG_MOST_S:g}"
+    )
+    return CheckReply(name="lag", ok=found.lag_s <= LAG_MOST_S, detail=detail)
+
+
+def _tracker(found: HostHealth) -> CheckReply:
     failed = [sensor.sensor_id for sensor in found.sensors if sensor.failure is not None]
     if not found.tracking:
         return CheckReply(name="tracker", ok=False, detail="the tracker thread does not run")
@@ -74,6 +95,17 @@ def _database(services: Services) -> CheckReply:
     except WaysideError as error:
         return CheckReply(name="database", ok=False, detail=str(error))
     return CheckReply(name="database", ok=True, detail="answers")
+
+
+def _storage(storage: StorageHealth) -> StorageReply:
+    share = storage.disk_free_share
+    return StorageReply(
+        log_files=storage.log_files,
+        log_oldest_age_s=_rounded(storage.log_oldest_age_s),
+        log_waiting_records=storage.log_waiting_records,
+        rows_bytes=storage.rows_bytes,
+        disk_free_share=None if share is None else round(share, 4),
+    )
 
 
 def _sensor(sensor: SensorHealth) -> SensorHealthReply:
@@ -90,6 +122,8 @@ def _sensor(sensor: SensorHealth) -> SensorHealthReply:
         clock_jitter_s=None if sensor.clock.jitter_s is None else round(sensor.clock.jitter_s, 6),
         clock_steps=sensor.clock.steps,
         queue_depth=sensor.queue_depth,
+        lag_s=round(sensor.lag_s, 3),
+        unstored_frames=sensor.unstored_frames,
     )
 
 

@@ -235,6 +235,18 @@ class SensorHealthReply(BaseModel):
     clock_jitter_s: float | None = Field(description="unsteadiness of arrival (RFC 3550, 6.4.1)")
     clock_steps: int = Field(description="how often the clock was set, since the service started")
     queue_depth: int = Field(description="records that are logged and not tracked yet")
+    lag_s: float = Field(description="how long the oldest of them has waited since it was received")
+    unstored_frames: int = Field(description="frames that are tracked and not stored yet")
+
+
+class StorageReply(BaseModel):
+    """How much is stored, and since when."""
+
+    log_files: int
+    log_oldest_age_s: float | None = Field(description="since the oldest frame that is kept was received")
+    log_waiting_records: int = Field(description="records that wait for the disk")
+    rows_bytes: int | None = Field(description="of the embedded database; null for one elsewhere")
+    disk_free_share: float | None = Field(description="of the disk that holds the log")
 
 
 class HealthReply(BaseModel):
@@ -242,8 +254,10 @@ class HealthReply(BaseModel):
 
     status: Literal["ok", "degraded"]
     version: str
+    lag_s: float = Field(description="the longest lag of a sensor; /readyz fails above 5 s")
     log_bytes: int
     log_damaged_records: int
+    storage: StorageReply
     sensors: list[SensorHealthReply]
 
 

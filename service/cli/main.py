@@ -13,6 +13,7 @@ from service.cli.chaos import chaos
 from service.cli.compare import compare
 from service.cli.count_check import count_check
 from service.cli.demo import demo
+from service.cli.doctor import doctor
 from service.cli.evaluate import evaluate
 from service.cli.export import export
 from service.cli.migrate import migrate
@@ -41,6 +42,7 @@ for command in (
     reproduce,
     bench,
     chaos,
+    doctor,
     migrate,
 ):
     app.command()(command)

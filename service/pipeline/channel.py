@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Generic
@@ -48,6 +49,7 @@ class Channel(Generic[S]):
     door: OrderState  # what the order will be once every logged record is folded
     durable_door: OrderState  # the same for the records known to be durable
     heard_us: int  # host's time of the newest arrival
+    waiting: deque[tuple[int, int]]  # position and receive time of what is durable; the tracker takes out
     door_failures: int = 0  # submissions that the log refused
     clock: ClockWatch = field(default_factory=ClockWatch)
     # The tracker thread:
@@ -58,12 +60,15 @@ class Channel(Generic[S]):
     received_us: int | None = None  # of the newest folded frame
     newest: Folded | None = None  # frame or tick
     newest_frame: Folded | None = None
-    folded_unstored_us: list[int] = field(
-        default_factory=list
-    )  # when frames since the last flush were folded
+    unstored_received_us: list[int] = field(default_factory=list)  # of frames folded since the last flush
     stored_us: int | None = None
     failure: str | None = None
     leaving: bool = False
+
+    def oldest_waiting_us(self) -> int | None:
+        """Return when the oldest frame was received that is durable and not folded, None when none waits."""
+        folded = self.state.position
+        return next((received_us for position, received_us in tuple(self.waiting) if position > folded), None)
 
     def take_rows(self) -> Rows:
         """Return what was collected since the last flush, each track's newest summary only."""
@@ -92,12 +97,12 @@ def open_channel(  # noqa: PLR0913 - what a restart needs
     else:
         state = found
     log.reserve(sensor_id, shard.cursor)
-    order, logged = _look_through(log, state)
+    order, logged, waiting = _look_through(log, state)
     if logged != config.canonical_json() or log.last_position(sensor_id) < state.epoch_first_position:
         log.append(sensor_id, [ControlRecord(config.canonical_json(), now_us)])
         order, _ = flush(order)
     position = 0 if shard.snapshot is None else shard.snapshot.position
-    return Channel(sensor_id, state, shard, position, now_s, config, order, order, now_us)
+    return Channel(sensor_id, state, shard, position, now_s, config, order, order, now_us, waiting)
 
 
 def _resume(log: FrameLog, shard: Shard, config: SensorConfig, tracker: Tracker[S]) -> FoldState[S] | str:
@@ -146,17 +151,19 @@ def _begin(  # noqa: PLR0913 - what an epoch needs
     return state, Shard(sensor_id, opened.epoch, after + 1, after, snapshot)
 
 
-def _look_through(log: FrameLog, state: FoldState[S]) -> tuple[OrderState, str]:
-    """Return the order and the configuration at the log's end, without tracking what lies before it."""
+def _look_through(log: FrameLog, state: FoldState[S]) -> tuple[OrderState, str, deque[tuple[int, int]]]:
+    """Return order and configuration at the log's end, without tracking what lies before, and what waits."""
     order, config, position = state.order, state.config, state.position
+    waiting: deque[tuple[int, int]] = deque()
     while records := log.read(state.sensor_id, position, _READ_RECORDS):
-        for position, record in records:  # noqa: B007 - the last one is where the next read begins
+        for position, record in records:  # the last one is where the next read begins
             match record:
                 case FrameRecord():
                     order, _ = admit(order, record.frame)
+                    waiting.append((position, record.received_us))
                 case ControlRecord():
                     order, _ = flush(order)
                     config = record.config
                 case _:
                     order, _ = flush(order)
-    return order, config
+    return order, config, waiting

@@ -33,6 +33,12 @@ def encode_record(record: Record) -> bytes:
     return _CHECKSUM.pack(zlib.crc32(data[_CHECKSUM.size :])) + data[_CHECKSUM.size :]
 
 
+def record_time_us(data: bytes) -> int:
+    """Return the time in a record's head: when it was received, or the time of a tick."""
+    _, _, time_us = _HEAD.unpack_from(data)
+    return int(time_us)
+
+
 def decode_record(data: bytes) -> Record:
     """Return the record that `encode_record` wrote; raises StorageError when the bytes are damaged."""
     if len(data) < _HEAD.size:

@@ -53,7 +53,7 @@ class Door:
         self._frame_log = frame_log
         self._telemetry = telemetry
         self._ahead_limit_s = ahead_limit_s
-        self._durable = telemetry.stage.labels("durable")
+        self._durable = telemetry.stage.labels("logged")
 
     async def submit(
         self, channel: Channel[Any], frames: Sequence[Frame], received_us: int
@@ -68,7 +68,7 @@ class Door:
             return found.results
         channel.door, failures = found.order, channel.door_failures
         try:
-            await self._frame_log.append_async(channel.sensor_id, found.records)
+            positions = await self._frame_log.append_async(channel.sensor_id, found.records)
         except WaysideError:
             # The frames will come again: they must not be taken for repeats then.
             channel.door = channel.durable_door
@@ -81,6 +81,8 @@ class Door:
             channel.durable_door = _passed(channel.durable_door, found.records)
             channel.door = _passed(channel.door, found.records)
         channel.heard_us = received_us
+        if positions[-1] > channel.state.position:  # else the tracker was quicker
+            channel.waiting.append((positions[-1], received_us))
         self._durable.observe(time.perf_counter() - started_s)
         return found.results
 

@@ -50,7 +50,7 @@ def settle(stored: Stored[S], *, now_us: int, now_s: float) -> None:
     channel.shard = stored.shard
     del channel.rows[: stored.parts]
     del channel.restarts[: stored.restarts]
-    del channel.folded_unstored_us[: stored.frames]
+    del channel.unstored_received_us[: stored.frames]
     channel.stored_us = now_us
     if stored.snapshot_position is not None:
         channel.snapshot_position = stored.snapshot_position
@@ -85,6 +85,6 @@ def _store_one(connection: Connection, channel: Channel[S], *, with_snapshot: bo
         shard,
         len(channel.rows),
         len(channel.restarts),
-        len(channel.folded_unstored_us),
+        len(channel.unstored_received_us),
         position if with_snapshot or channel.restarts else None,
     )

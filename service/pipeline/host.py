@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -15,12 +14,12 @@ from sqlalchemy import Engine
 from service.errors import NotFound, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
 from service.pipeline.channel import Channel, open_channel
-from service.pipeline.clocks import ClockReport
 from service.pipeline.door import Door, ItemResult
 from service.pipeline.fold_state import Tracker
-from service.pipeline.live import LiveState, LiveView
+from service.pipeline.health import HostHealth, StorageHealth, sensor_health, show, storage_health
+from service.pipeline.live import LiveView
 from service.pipeline.order import flush
-from service.pipeline.records import ControlRecord
+from service.pipeline.records import ControlRecord, FrameRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from service.pipeline.tracker_thread import Pace, TrackerThread
 from service.settings import Settings
@@ -33,41 +32,7 @@ from service.tracking.model import Frame
 
 _log = structlog.get_logger(__name__)
 
-_US_PER_S = 1_000_000
 _PAGE = 1000
-
-
-@dataclass(frozen=True, slots=True)
-class SensorHealth:
-    """Where one sensor stands."""
-
-    sensor_id: str
-    state: LiveState
-    failure: str | None  # why its frames are not tracked any more
-    epoch: int
-    logged_position: int
-    folded_position: int
-    stored_position: int
-    received_us: int | None  # host's time of the newest folded frame
-    frame_age_s: float | None  # since then
-    stored_age_s: float | None  # since rows were stored last
-    clock: ClockReport  # the sensor's clock against the host's
-
-    @property
-    def queue_depth(self) -> int:
-        """Records that are logged and not folded."""
-        return self.logged_position - self.folded_position
-
-
-@dataclass(frozen=True, slots=True)
-class HostHealth:
-    """Where the whole host stands."""
-
-    ready: bool
-    tracking: bool  # the tracker thread runs
-    log_bytes: int
-    log_damaged_records: int
-    sensors: tuple[SensorHealth, ...]
 
 
 def wall_clock_us() -> int:
@@ -265,40 +230,26 @@ class EmbeddedHost:
 
     def health(self) -> HostHealth:
         """Return where every sensor and the log stand, and bring the gauges up to date."""
-        now_us = self._clock_us()
-        sensors = tuple(self._sensor_health(channel, now_us) for channel in self._channels.values())
-        for sensor in sensors:
-            self.telemetry.queue.labels(sensor.sensor_id).set(sensor.queue_depth)
-            self.telemetry.show_clock(sensor.sensor_id, sensor.clock.skew_s, sensor.clock.jitter_s)
-        log_bytes = 0 if self._frame_log is None else self._frame_log.size_bytes()
-        damaged = 0 if self._frame_log is None else self._frame_log.damaged_records
-        self.telemetry.log_bytes.set(log_bytes)
-        self.telemetry.log_damaged.set(damaged)
-        return HostHealth(
+        now_us, frame_log = self._clock_us(), self._frame_log
+        found = HostHealth(
             ready=self.ready,
             tracking=self._thread is not None and self._thread.alive,
-            log_bytes=log_bytes,
-            log_damaged_records=damaged,
-            sensors=sensors,
+            log_refusal=None if frame_log is None else frame_log.refusal(),
+            storage=StorageHealth()
+            if frame_log is None
+            else storage_health(frame_log, self._settings.log_dir, self._database, now_us),
+            sensors=tuple(
+                sensor_health(channel, self.live, self._log().last_position(channel.sensor_id), now_us)
+                for channel in self._channels.values()
+            ),
         )
+        show(found, self.telemetry)
+        return found
 
-    def _sensor_health(self, channel: Channel[Any], now_us: int) -> SensorHealth:
-        entry = self.live.newest(channel.sensor_id)
-        received_us = channel.received_us
-        return SensorHealth(
-            sensor_id=channel.sensor_id,
-            state="waiting" if entry is None else entry.state(now_us),
-            failure=channel.failure,
-            epoch=channel.state.epoch,
-            logged_position=self._log().last_position(channel.sensor_id),
-            folded_position=channel.state.position,
-            stored_position=channel.shard.cursor,
-            received_us=received_us,
-            frame_age_s=_age_s(now_us, received_us),
-            stored_age_s=_age_s(now_us, channel.stored_us),
-            clock=channel.clock.report(),
-        )
-
-
-def _age_s(now_us: int, then_us: int | None) -> float | None:
-    return None if then_us is None else (now_us - then_us) / _US_PER_S
+    def recent_frames(self, sensor_id: str, count: int) -> list[FrameRecord]:
+        """Return the frames among a sensor's newest `count` records; reads the disk. Raises NotFound."""
+        self._channel(sensor_id)
+        frame_log = self._log()
+        after = max(0, frame_log.last_position(sensor_id) - count)
+        records = (record for _, record in frame_log.read(sensor_id, after, count))
+        return [record for record in records if isinstance(record, FrameRecord)]

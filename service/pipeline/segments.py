@@ -16,7 +16,8 @@ from pathlib import Path
 
 from service.errors import StorageError, Unavailable
 
-PAGE_BYTES = 8192  # three or four frames of 100 points a page
+PAGE_BYTES = 16384  # nine frames of 100 points, three of 300: little of a page stays empty
+_CHECKPOINT_PAGES = 500  # the write-ahead file is 8 MB at most
 # Rows lie in the order in which they came, so that every page is filled before the next is begun; the key is
 # an index beside them. (As the table's own order it would be an index of bodies, of which all but 2 kB go
 # to pages that nothing else may use: such files were 1.8 to 3.7 times as large as the frames in them.)
@@ -68,6 +69,7 @@ class Segment:
         """
         self.path = path
         self.extents: dict[str, Extent] = {}
+        self.begun_us: int | None = None  # when its first record was received, once somebody asked
         unclean = _beside(path, "-wal").exists()
         try:
             self._writer = _connect(path)
@@ -112,6 +114,12 @@ class Segment:
                 pass
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
 
+    def first_body(self) -> bytes | None:
+        """Return the body of the first record, None when there is none."""
+        with self._reading:
+            row = self._reader.execute("SELECT body FROM record LIMIT 1").fetchone()
+        return None if row is None else bytes(row[0])
+
     def size_bytes(self) -> int:
         """Return what the file and its write-ahead file take on the disk."""
         paths = (self.path, _beside(self.path, "-wal"))
@@ -120,7 +128,7 @@ class Segment:
     def seal(self) -> None:
         """Move the write-ahead file into the file, of which no more is written; reading goes on.
 
-        An active file keeps up to 8 MB of it (SQLite's 1000 pages) to write the same pages again and again.
+        An active file keeps up to 8 MB of it, to write the same pages again and again.
         """
         with self._reading:  # a reader would make it wait
             self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
@@ -160,7 +168,12 @@ def _code(error: sqlite3.Error) -> int | None:
 
 def _connect(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    for pragma in (f"page_size = {PAGE_BYTES}", "journal_mode = WAL", "synchronous = FULL"):
+    for pragma in (
+        f"page_size = {PAGE_BYTES}",
+        "journal_mode = WAL",
+        "synchronous = FULL",
+        f"wal_autocheckpoint = {_CHECKPOINT_PAGES}",
+    ):
         connection.execute(f"PRAGMA {pragma}").close()
     return connection
 

@@ -24,7 +24,7 @@ from pathlib import Path
 import structlog
 
 from service.errors import InvalidFrame, StorageError, Unavailable, WaysideError
-from service.pipeline.codec import decode_record, encode_record
+from service.pipeline.codec import decode_record, encode_record, record_time_us
 from service.pipeline.records import Record
 from service.pipeline.segments import Extent, Segment, set_aside
 
@@ -124,6 +124,15 @@ class SqliteLog:
             self._room_checked_s = time.monotonic()
         if self._refusal is not None:
             raise Unavailable(self._refusal, self._limits.retry_after_s)
+
+    def refusal(self) -> str | None:
+        """Return why no frames are taken now, None when they are."""
+        with self._guard:
+            try:
+                self._require_room(0)
+            except Unavailable as error:
+                return str(error)
+            return None
 
     def _check_room(self) -> str | None:
         """Drop what may go, and return why no more can be taken (None: there is room)."""
@@ -243,6 +252,24 @@ class SqliteLog:
         """Return what the log takes on the disk."""
         with self._guard:
             return self._size_bytes()
+
+    def file_count(self) -> int:
+        """Return of how many files the log consists."""
+        with self._guard:
+            return len(self._segments)
+
+    @property
+    def waiting_records(self) -> int:
+        """Records that wait for the disk."""
+        return self._waiting_records
+
+    def oldest_us(self) -> int | None:
+        """Return when the oldest record that is kept was received, None for an empty log."""
+        with self._guard:
+            oldest = self._segments[0]
+            if oldest.begun_us is None and not self._closing and (body := oldest.first_body()) is not None:
+                oldest.begun_us = record_time_us(body)
+            return oldest.begun_us
 
     def _size_bytes(self) -> int:
         return sum(segment.size_bytes() for segment in self._segments)

@@ -87,6 +87,14 @@ def connection(engine: Engine) -> Iterator[Connection]:
         yield reader
 
 
+def file_bytes(engine: Engine) -> int | None:
+    """Return what a SQLite database and its write-ahead file take on the disk; None for another database."""
+    if engine.dialect.name != "sqlite" or engine.url.database is None:
+        return None
+    paths = (Path(engine.url.database), Path(f"{engine.url.database}-wal"))
+    return sum(path.stat().st_size for path in paths if path.exists())
+
+
 def is_postgresql(connection: Connection) -> bool:
     """Return whether the connection speaks to PostgreSQL (else: SQLite)."""
     return connection.dialect.name == "postgresql"

@@ -5,7 +5,7 @@ import re
 import pytest
 from pydantic import TypeAdapter
 
-from service.api import examples, flow_schemas, lane_schemas, schemas, track_schemas
+from service.api import diagnosis, examples, flow_schemas, lane_schemas, schemas, track_schemas
 from service.api.openapi import operations
 from service.api.problems import Problem
 from service.api.schemas import Page
@@ -40,6 +40,7 @@ MODELS = {
     "read_movements": flow_schemas.MovementReply,
     "check_manual_counts": flow_schemas.CheckReply,
     "read_checks": flow_schemas.CheckReply,
+    "read_diagnosis": diagnosis.DiagnosisReply,
     "create_key": schemas.NewKeyReply,
     "rotate_key": schemas.NewKeyReply,
     "list_keys": Page[schemas.KeyReply],

@@ -92,7 +92,13 @@ def test_the_health_of_the_service(service):
     assert service.client.get("/livez").json() == {"status": "ok"}
     ready = service.client.get("/readyz")
     assert (ready.status_code, ready.json()["status"]) == (200, "ready")
-    assert [check["name"] for check in ready.json()["checks"]] == ["host", "tracker", "database"]
+    assert [check["name"] for check in ready.json()["checks"]] == [
+        "host",
+        "log",
+        "tracker",
+        "lag",
+        "database",
+    ]
     health = service.client.get("/healthz").json()
     assert health["status"] == "ok"
     assert health["sensors"][0]["sensor_id"] == "radar-1"

@@ -209,6 +209,18 @@ def test_a_restart_goes_on_where_it_stopped(running, database):
     assert (len(summaries), len(blocks)) == folded_rows(frames)
 
 
+def test_the_records_of_a_sensor_that_fell_silent_may_be_dropped(running, database):
+    with running(snapshot_interval_s=0.8) as host:
+        submit(host, recording(30))
+        wait_until(lambda: caught_up(host))
+        last = host._frame_log.last_position("radar-1")
+
+        # By itself, with no further frame: else the log fills up behind these records and refuses everybody.
+        wait_until(lambda: host._frame_log._released.get("radar-1") == last)
+        with reading(database) as reader:
+            assert load_shard(reader, "radar-1").snapshot.position == last
+
+
 def test_without_a_snapshot_the_first_epoch_is_folded_again_from_the_log(running, database):
     frames = recording(60)
     with running() as host:

@@ -181,7 +181,7 @@ def many(count: int = 600) -> list[FrameRecord]:
 
 
 def test_only_the_newest_file_keeps_a_write_ahead_file(small_log, tmp_path):
-    append_all(small_log, big_records(40))
+    append_all(small_log, big_records(25))
 
     assert len(list(tmp_path.glob("segment-*.sqlite"))) > 2
     ahead = {path.name: path.stat().st_size for path in sorted(tmp_path.glob("segment-*.sqlite-wal"))}
