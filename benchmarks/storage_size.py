@@ -1,10 +1,10 @@
-"""Measure how many bytes of a SQLite file one stored track state costs, indexes and track rows included.
+"""Measure how many bytes one stored track state costs, indexes and track rows included, and one logged frame.
 
-    python benchmarks/storage_size.py [--minutes 10] [--sensors 1] [--life 12.0] [--json]
+    python benchmarks/storage_size.py [--minutes 10] [--sensors 1] [--life 12.0] [--points 120] [--json]
 
 Writes through `save_flush`, a second at a time, as the host does: tracks with measurement noise at 20 Hz that
 come and go (`--life` seconds each, so that first and last blocks are cut). Then moves the journal into the
-file and looks at its size.
+file and looks at its size. The log gets frames of 0.5 to 1.5 times `--points` points, one a commit.
 """
 
 from __future__ import annotations
@@ -24,11 +24,15 @@ import numpy as np
 from sqlalchemy import Engine, text
 
 from service.formats.sensor import SensorConfig
+from service.pipeline.codec import encode_record
+from service.pipeline.records import FrameRecord
+from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from service.storage.database import open_database, session_scope
 from service.storage.migrate import upgrade
 from service.storage.rows import STATE_SAMPLE, Rows, StateBlock, TrackKey, TrackSummary
 from service.storage.shards import Snapshot, begin_epoch, save_flush, save_snapshot
 from service.storage.sites import create_sensor
+from service.tracking.model import Frame
 
 RATE_HZ = 20
 TRACKS = 60
@@ -36,6 +40,7 @@ START_S = 1_747_000_000
 BAR_BYTES_PER_STATE = 30.0
 SEED = 1
 SNAPSHOT_EVERY_S = 10
+LOG_FRAMES = 2000
 SNAPSHOT_BYTES = 170_000  # a state of 60 tracks
 
 
@@ -48,6 +53,7 @@ class Load:
     tracks: int
     life_s: float
     snapshot_bytes: int = SNAPSHOT_BYTES
+    points: int = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +65,10 @@ class Result:
     file_bytes: int
     bytes_per_state: float
     flush_ms: float  # mean of one sensor's second
+    log_bytes_per_frame: float
+    log_overhead: float  # file bytes a byte of frame
+    log_mb_per_sensor_hour: float
+    rows_mb_per_sensor_hour: float
 
 
 class Traffic:
@@ -134,6 +144,21 @@ class Traffic:
         return TrackKey(self.sensor_id, 1, int(self.number[slot]))
 
 
+def measure_log(folder: Path, points: int, seed: int = SEED) -> tuple[float, float]:
+    """Write frames into a new log; return bytes of file a frame, and a byte of frame."""
+    rng = np.random.default_rng(seed)
+    log = SqliteLog(folder, LogLimits(free_share=0.0))
+    body_bytes = 0
+    for k in range(LOG_FRAMES):
+        columns = rng.normal(size=(4, rng.integers(points // 2, 3 * points // 2))).astype(np.float32)
+        record = FrameRecord(Frame("radar-1", START_S * 1_000_000 + k, k, None, *columns), 0)
+        body_bytes += len(encode_record(record))
+        log.append("radar-1", [record])
+    log.close()
+    size = log.size_bytes()
+    return size / LOG_FRAMES, size / body_bytes
+
+
 def measure(path: Path, load: Load, seed: int = SEED) -> Result:
     """Write the load into a new database at `path` and return what it cost."""
     engine = open_database(f"sqlite:///{path}")
@@ -146,7 +171,18 @@ def measure(path: Path, load: Load, seed: int = SEED) -> Result:
         connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
     engine.dispose()
     size = path.stat().st_size
-    return Result(states, tracks or 0, size, size / states, 1000 * flush_s / (load.seconds * load.sensors))
+    frame_bytes, overhead = measure_log(path.parent / "log", load.points, seed)
+    return Result(
+        states,
+        tracks or 0,
+        size,
+        size / states,
+        1000 * flush_s / (load.seconds * load.sensors),
+        frame_bytes,
+        overhead,
+        frame_bytes * RATE_HZ * 3600 / 1e6,
+        size / (load.seconds * load.sensors) * 3600 / 1e6,
+    )
 
 
 def _write(engine: Engine, traffic: list[Traffic], load: Load) -> tuple[int, float]:
@@ -205,9 +241,10 @@ def main() -> None:
     parser.add_argument("--sensors", type=int, default=1)
     parser.add_argument("--tracks", type=int, default=TRACKS)
     parser.add_argument("--life", type=float, default=12.0, help="seconds that one track lives")
+    parser.add_argument("--points", type=int, default=120, help="of a logged frame, on average")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    load = Load(round(given.minutes * 60), given.sensors, given.tracks, given.life)
+    load = Load(round(given.minutes * 60), given.sensors, given.tracks, given.life, points=given.points)
     with tempfile.TemporaryDirectory() as folder:
         result = measure(Path(folder) / "rows.sqlite", load)
     if given.json:
@@ -217,6 +254,13 @@ def main() -> None:
         print(f"{result.bytes_per_state:.2f} bytes a state (bar {BAR_BYTES_PER_STATE:g})")
         print(f"{result.states} states, {result.tracks} tracks, {result.file_bytes / 2**20:.1f} MiB")
         print(f"{result.flush_ms:.2f} ms a flush")
+        print(
+            f"{result.log_bytes_per_frame:.0f} bytes a frame in the log, {result.log_overhead:.2f} of its own"
+        )
+        print(
+            f"a sensor and hour: log {result.log_mb_per_sensor_hour:.0f} MB, "
+            f"rows {result.rows_mb_per_sensor_hour:.0f} MB"
+        )
 
 
 if __name__ == "__main__":

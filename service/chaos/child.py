@@ -19,7 +19,7 @@ from service.storage.sites import create_sensor, list_sensors
 
 RETRY_S = 0.005
 ROOM_CHECK_S = 0.02  # a second in the service; here the log fills a hundred times as fast
-LOG_BYTES = 600 * 1024  # of eight files: small enough that some are dropped on the way
+LOG_BYTES = 2 * 2**20  # of eight files: small enough that some are dropped on the way
 
 
 def settings(data_dir: Path) -> Settings:

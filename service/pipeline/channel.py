@@ -102,6 +102,8 @@ def open_channel(  # noqa: PLR0913 - what a restart needs
         log.append(sensor_id, [ControlRecord(config.canonical_json(), now_us)])
         order, _ = flush(order)
     position = 0 if shard.snapshot is None else shard.snapshot.position
+    # A log that is full takes no frame, so no further snapshot would come to let anything go.
+    log.release(sensor_id, min(position, state.position))
     return Channel(sensor_id, state, shard, position, now_s, config, order, order, now_us, waiting)
 
 

@@ -129,7 +129,7 @@ class TrackerThread(Generic[S]):
 
     def _turn(self, channel: Channel[S]) -> bool:
         """Fold a few records of a sensor; return whether there were any."""
-        if channel.failure is not None or len(channel.folded_unstored_us) > UNSTORED_FRAMES:
+        if channel.failure is not None or len(channel.unstored_received_us) > UNSTORED_FRAMES:
             return False
         try:
             if self._frame_log.last_position(channel.sensor_id) <= channel.state.position:
@@ -165,7 +165,9 @@ class TrackerThread(Generic[S]):
         if frames:
             channel.newest_frame = frames[-1]
             channel.frames_since_snapshot += len(frames)
-            channel.folded_unstored_us += [now_us] * len(frames)
+            channel.unstored_received_us += [channel.received_us or now_us] * len(frames)
+        while channel.waiting and channel.waiting[0][0] <= position:
+            channel.waiting.popleft()
         self._count(channel, record, output, now_us)
         entry = LiveEntry(
             channel.sensor_id,
@@ -176,6 +178,12 @@ class TrackerThread(Generic[S]):
             channel.newest_frame,
         )
         self._live.publish(entry)
+        if isinstance(record, FrameRecord):
+            self._reached("readable", record.received_us)
+
+    def _reached(self, stage: str, received_us: int) -> None:
+        waited_us = max(0, self._clock_us() - received_us)
+        self._telemetry.stage.labels(stage).observe(waited_us / _US_PER_S)
 
     def _count(self, channel: Channel[S], record: Record, output: FoldOutput, now_us: int) -> None:
         metrics, sensor_id = self._telemetry, channel.sensor_id
@@ -225,8 +233,12 @@ class TrackerThread(Generic[S]):
         if time.monotonic() - self._flushed_s < self._pace.flush_interval_s:
             return
         self._flushed_s = time.monotonic()
+        # A sensor that fell silent still wants its last snapshot: until then the log keeps its last records,
+        # and with them every later file of all sensors.
         moved = [
-            c for c in self._channels.values() if c.state.position > c.shard.cursor or c.rows or c.restarts
+            c
+            for c in self._channels.values()
+            if c.state.position > c.shard.cursor or c.rows or c.restarts or self._snapshot_due(c)
         ]
         self._flush(moved)
 
@@ -270,8 +282,8 @@ class TrackerThread(Generic[S]):
         self._telemetry.flush.observe(time.perf_counter() - started_s)
         now_us = self._clock_us()
         for item in stored:
-            for folded_us in item.channel.folded_unstored_us[: item.frames]:
-                self._telemetry.stage.labels("stored").observe(max(0, now_us - folded_us) / _US_PER_S)
+            for received_us in item.channel.unstored_received_us[: item.frames]:
+                self._telemetry.stage.labels("stored").observe(max(0, now_us - received_us) / _US_PER_S)
             settle(item, now_us=now_us, now_s=time.monotonic())
             if item.snapshot_position is not None:
                 self._frame_log.release(item.channel.sensor_id, item.snapshot_position)

@@ -221,6 +221,14 @@ def test_the_records_of_a_sensor_that_fell_silent_may_be_dropped(running, databa
             assert load_shard(reader, "radar-1").snapshot.position == last
 
 
+def test_a_restart_lets_go_of_what_the_snapshot_covers_before_any_frame(running):
+    with running() as host:
+        submit(host, recording(30))
+        last = host._frame_log.last_position("radar-1")
+    with running() as host:
+        assert host._frame_log._released == {"radar-1": last}
+
+
 def test_without_a_snapshot_the_first_epoch_is_folded_again_from_the_log(running, database):
     frames = recording(60)
     with running() as host:
