@@ -37,8 +37,9 @@ from service.simulation.scenario import START_US, Scenario, scenario_named, simu
 from service.simulation.scene_files import site  # noqa: E402
 from service.tracking import tracker  # noqa: E402
 from service.tracking.model import Frame, TrackEstimates  # noqa: E402
+from service.traffic import count_intervals  # noqa: E402
 from service.traffic.cells import CELL, along  # noqa: E402
-from service.traffic.count_intervals import Confidence, volume_bounds  # noqa: E402
+from service.traffic.count_intervals import Confidence  # noqa: E402
 from service.traffic.counting import count, nothing_counted  # noqa: E402
 from service.traffic.model import Lane, LaneMap, Moment  # noqa: E402
 from service.traffic.parameters import traffic_setup  # noqa: E402
@@ -191,12 +192,14 @@ def lane_name(counted: Counted, crossing: Crossing) -> str:
 def volumes(results: list[Counted]) -> dict[str, float]:
     """Pooled error of the volumes, by direction and by lane of a line and recording."""
     true, net, by_lane = 0, 0, 0
+    lines: dict[str, list[int]] = defaultdict(lambda: [0, 0])
     for c in results:
         direction = {lane.lane_id: lane.direction for lane in c.run.lanes.lanes}
         balance, lanes = Counter(), Counter()
         for row in c.run.truth:
             if WARM_S <= row["t"] <= c.run.duration_s - TAIL_S:
                 true += 1
+                lines[row["line_id"]][0] += 1
                 balance[row["line_id"], direction[row["lane_id"]]] -= 1
                 lanes[row["line_id"], row["lane_id"]] -= 1
         for crossing in c.crossings:
@@ -205,12 +208,15 @@ def volumes(results: list[Counted]) -> dict[str, float]:
                 balance[crossing.line_id, direction[name]] += 1
                 lanes[crossing.line_id, name] += 1
         net += sum(balance.values())
+        for (line, _), value in balance.items():
+            lines[line][1] += value
         by_lane += sum(abs(value) for value in lanes.values())
-    return {
+    out = {
         "crossings_true": true,
         "net_volume_error": net / max(true, 1),
         "lane_volume_error": by_lane / max(true, 1),
     }
+    return out | {f"net_volume_error_{line}": sums[1] / sums[0] for line, sums in sorted(lines.items())}
 
 
 def events(results: list[Counted]) -> dict[str, float]:
@@ -280,46 +286,47 @@ def edie(results: list[Counted]) -> dict[str, float]:
     return out
 
 
-def intervals(results: list[Counted], confidence: Confidence, cell_s: int = 60) -> dict[str, float]:
-    """How often the interval of a cell's volume (line, lane, minute) holds the true one."""
-    n, true, doubt, observed = [], [], [], []
+def intervals(results: list[Counted], confidence: Confidence) -> dict[str, float]:
+    """How often the interval of a volume (line, lane, minute after the first) holds the true one."""
+    rows = []
     for c in results:
-        names = [lane.lane_id for lane in c.run.lanes.lanes]
-        for minute in range(int(c.run.duration_s) // cell_s):
-            begin_us = START_US + minute * cell_s * 1_000_000
-            share = c.minutes.get(begin_us // MINUTE_US, (0, 0))[1] / MINUTE_US
-            if share <= 0 or (minute == 0 and share < 1e-3):
-                continue
-            for line in sorted({row["line_id"] for row in c.run.truth}):
-                for name in names:
-                    true.append(
-                        sum(
-                            r["line_id"] == line
-                            and r["lane_id"] == name
-                            and minute * cell_s <= r["t"] < (minute + 1) * cell_s
-                            for r in c.run.truth
-                        )
-                    )
-                    mine = [
-                        x
-                        for x in c.crossings
-                        if x.line_id == line
-                        and lane_name(c, x) == name
-                        and begin_us <= x.time_us < begin_us + cell_s * 1_000_000
-                    ]
-                    n.append(len(mine))
-                    doubt.append(sum(1 - x.probability for x in mine))
-                    observed.append(share)
-    counted, truth = np.array(n), np.array(true)
-    low, high = volume_bounds(counted, np.array(doubt), np.minimum(np.array(observed), 1.0), confidence)
+        for minute in range(1, int(c.run.duration_s) // 60):
+            begin_us = START_US + minute * MINUTE_US
+            end_us = min(begin_us + MINUTE_US, START_US + round((c.run.duration_s - TAIL_S) * 1e6))
+            share = min(c.minutes.get(begin_us // MINUTE_US, (0, 0))[1] / MINUTE_US, 1.0)
+            for line, lane in {(row["line_id"], row["lane_id"]) for row in c.run.truth}:
+                true = sum(
+                    r["line_id"] == line
+                    and r["lane_id"] == lane
+                    and begin_us <= START_US + r["t"] * 1e6 < end_us
+                    for r in c.run.truth
+                )
+                mine = [
+                    x
+                    for x in c.crossings
+                    if x.line_id == line and lane_name(c, x) == lane and begin_us <= x.time_us < end_us
+                ]
+                rows.append((true, *_cell(mine, share)))
+    true, n, doubt, observed, density, far = np.array(rows).T
+    cells = count_intervals.Counted(n.astype(int), doubt, observed, density, far)
+    low, high = count_intervals.volume_bounds(cells, confidence)
     return {
-        "interval_cells": len(truth),
-        "interval_holds": float(np.mean((low <= truth) & (truth <= high))),
-        "interval_too_low": float(np.mean(truth > high)),
-        "interval_too_high": float(np.mean(truth < low)),
+        "interval_cells": len(true),
+        "interval_holds": float(np.mean((low <= true) & (true <= high))),
+        "interval_too_low": float(np.mean(true > high)),
+        "interval_too_high": float(np.mean(true < low)),
         "interval_mean_width": float(np.mean(high - low)),
-        "cells_exact": float(np.mean(counted == truth)),
+        "cells_exact": float(np.mean(n == true)),
     }
+
+
+def _cell(mine: list[Crossing], share: float) -> tuple[float, ...]:
+    """Count, doubt, observed share, density a metre and range of the crossings of one cell."""
+    if not mine:
+        return 0.0, 0.0, share, 0.0, 0.0
+    density = sum(1 / x.speed_mps for x in mine) / 60
+    far = float(np.mean([np.hypot(x.x_m, x.y_m) for x in mine]))
+    return len(mine), sum(1 - x.probability for x in mine), share, density, far
 
 
 def report(results: list[Counted]) -> dict[str, object]:

@@ -36,6 +36,7 @@ class CountFiles:
     def write(self, folder: Path) -> dict[str, object]:
         """Write a line for each crossing, for each minute, line, lane and direction, and for each cell."""
         from service.storage.count_tables import cells_of, crossings_of, received_of
+        from service.traffic.count_intervals import Confidence
         from service.traffic.edie import edie_table
         from service.traffic.flow import flow_table
         from service.traffic.flow_fields import crossing_fields, edie_fields, flow_fields, groups_of
@@ -51,7 +52,8 @@ class CountFiles:
             edges = np.arange(received.minute[0], received.minute[-1] + 2) * MINUTE_US
         lines = [line.line_id for line in self._config.count_lines]
         groups = groups_of(crossings, lines, (), frozenset({"lane", "direction"}))
-        flow = flow_table(crossings, received, edges, groups)
+        confidence = Confidence(mount_height_m=self._config.mount_height_m)
+        flow = flow_table(crossings, received, edges, groups, confidence)
         _write_lines(folder / FLOW, flow_fields(sensor_id, flow))
         edie = edie_table(cells_of(list(self._cells.values())), received, edges)
         _write_lines(folder / CELLS, edie_fields(sensor_id, edie))

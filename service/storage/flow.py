@@ -17,6 +17,7 @@ from service.storage.page import Page, check_limit, cut, read_cursor
 from service.storage.sites import ordinal_of, read_sensor
 from service.storage.tables import crossing_blocks, sites
 from service.tracking.model import I64
+from service.traffic.count_intervals import Confidence
 from service.traffic.edie import EdieTable, edie_table
 from service.traffic.flow import CrossingTable, FlowTable, Group, covered, flow_table
 from service.traffic.flow_fields import RowName, groups_of
@@ -78,7 +79,8 @@ def read_flow(connection: Connection, query: FlowQuery) -> FlowTable:
     config = read_sensor(connection, query.sensor_id, include_archived=True).config
     lines = [query.line_id] if query.line_id else [line.line_id for line in config.count_lines]
     groups = groups_of(crossings, lines, (), query.by)
-    return flow_table(crossings, read_received(connection, *window), edges, groups)
+    confidence = Confidence(mount_height_m=config.mount_height_m)
+    return flow_table(crossings, read_received(connection, *window), edges, groups, confidence)
 
 
 def read_edie(connection: Connection, query: FlowQuery) -> EdieTable:
@@ -109,7 +111,9 @@ def read_evidence(connection: Connection, sensor_id: str, row: RowName) -> Evide
     received = read_received(connection, sensor_id, row.start_us, row.end_us)
     crossings = read_crossings(connection, sensor_id, row.start_us, row.end_us, line_id=group.line_id)
     edges = np.array([row.start_us, row.end_us], np.int64)
-    flow = flow_table(crossings, received, edges, [group])
+    config = read_sensor(connection, sensor_id, include_archived=True).config
+    confidence = Confidence(mount_height_m=config.mount_height_m)
+    flow = flow_table(crossings, received, edges, [group], confidence)
     if not len(flow.n):
         raise NotFound(f"{sensor_id} received nothing in the interval of this row")
     return Evidence(flow, of_group(crossings, group))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from service.formats.length_class import LENGTH_BOUNDS_M, LENGTH_CLASSES
 from service.tracking.model import F64, I64, Bool
-from service.traffic.count_intervals import Confidence, volume_bounds
+from service.traffic.count_intervals import Confidence, Counted, volume_bounds
 from service.traffic.records import DECIMALS, MINUTE_US
 
 Text = NDArray[np.str_]
@@ -203,7 +203,10 @@ def _measured(
     length_m = np.where(np.isnan(c.length_m), ASSUMED_LENGTH_M, c.length_m)
     known = np.bincount(cell, ~np.isnan(c.length_m), minlength=count)
     doubt = _sum(cell, 1.0 - c.probability, count)
-    low, high = volume_bounds(n, doubt, observed, confidence)
+    density = np.where(n > 0, flow_vph / (3.6 * np.where(n > 0, space_mean, 1.0)), 0.0)
+    range_m = np.nan_to_num(_ratio(_sum(cell, np.hypot(c.x_m, c.y_m), count), n))
+    lanes = _lanes(c, cell, count)
+    low, high = volume_bounds(Counted(n, doubt, observed, density / lanes / 1e3, range_m), confidence)
     return FlowTable(
         start_us=start_us.astype(np.int64),
         end_us=end_us.astype(np.int64),
@@ -219,7 +222,7 @@ def _measured(
         space_mean_speed_mps=np.minimum(space_mean, _ratio(_sum(cell, c.speed_mps, count), n)),
         p85_speed_mps=percentile(c.speed_mps, cell, count, _P85),
         occupancy_percent=100.0 / seconds * _sum(cell, (length_m + VIRTUAL_LENGTH_M) / c.speed_mps, count),
-        density_per_km=np.where(n > 0, flow_vph / (3.6 * np.where(n > 0, space_mean, 1.0)), 0.0),
+        density_per_km=density,
         mean_length_m=_mean(cell, c.length_m, count),
         mean_headway_s=_mean(cell, c.headway_s, count),
         mean_gap_s=_mean(cell, c.gap_s, count),
@@ -227,6 +230,13 @@ def _measured(
         histogram=_histogram(c.speed_mps, cell, count),
         lengths_known=known.astype(np.int64),
     )
+
+
+def _lanes(c: CrossingTable, cell: I64, count: int) -> I64:
+    """Return in how many lanes the vehicles of each cell drove, at least one."""
+    most = int(c.lane.max(initial=0)) + 1
+    pairs = np.unique(cell * most + c.lane)
+    return np.maximum(np.bincount(pairs // most, minlength=count), 1)
 
 
 def _sum(cell: I64, values: F64, count: int) -> F64:

@@ -13,7 +13,7 @@ from service.formats.local_days import interval_edges_us
 from service.formats.rfc3339 import parse_time_us
 from service.storage.flow_exports import csv_rows, pems_rows
 from service.traffic.count_check import check
-from service.traffic.count_intervals import Confidence, volume_bounds
+from service.traffic.count_intervals import Confidence, Counted, volume_bounds
 from service.traffic.flow import Group, Received, covered, crossing_table, flow_table
 from service.traffic.flow_fields import (
     RowName,
@@ -161,15 +161,22 @@ def test_a_row_is_opened_by_its_name():
             parse_row_name(wrong)
 
 
-def test_the_interval_of_a_volume_grows_with_doubt_and_with_time_not_seen():
-    n = np.full(3, 40)
-    low, high = volume_bounds(n, np.array([0.0, 4.0, 0.0]), np.array([1.0, 1.0, 0.6]), Confidence())
+def counted(n, *, doubt=0.0, observed=1.0, density_per_km=10.0, range_m=40.0):
+    shape = np.ones(np.size(n))
+    return Counted(
+        np.atleast_1d(n), doubt * shape, observed * shape, density_per_km / 1e3 * shape, range_m * shape
+    )
 
+
+def test_the_interval_of_a_volume_grows_with_doubt_with_time_not_seen_and_with_what_hides():
+    low, high = volume_bounds(counted(40), Confidence())
     assert low[0] <= 40 <= high[0]
-    assert low[1] < low[0]
-    assert high[2] > 40 / 0.6 > high[0]
-    empty = volume_bounds(np.zeros(1, int), np.zeros(1), np.ones(1), Confidence())
-    assert [bound.tolist() for bound in empty] == [[0], [0]]
+
+    assert volume_bounds(counted(40, doubt=4.0), Confidence())[0] < low
+    assert volume_bounds(counted(40, observed=0.6), Confidence())[1] > 40 / 0.6 > high
+    assert volume_bounds(counted(40, range_m=120.0), Confidence())[1] > high
+    assert volume_bounds(counted(40, range_m=120.0), Confidence(mount_height_m=12.0))[1] == high
+    assert [bound.tolist() for bound in volume_bounds(counted(0), Confidence())] == [[0], [0]]
 
 
 def test_the_interval_holds_the_truth_as_often_as_it_says():
@@ -177,9 +184,9 @@ def test_the_interval_holds_the_truth_as_often_as_it_says():
     level = Confidence(miss_share=0.05, false_share=0.02)
     true = rng.poisson(rng.uniform(2, 40, 2000))
     observed = rng.uniform(0.6, 1.0, 2000)
-    counted = rng.binomial(true, observed * 0.95)
-    counted += rng.poisson(0.02 * counted)
-    low, high = volume_bounds(counted, np.zeros(2000), observed, level)
+    found = rng.binomial(true, observed * 0.95)
+    found += rng.poisson(0.02 * found)
+    low, high = volume_bounds(counted(found, observed=observed, range_m=0.0), level)
 
     assert 0.93 <= np.mean((low <= true) & (true <= high)) <= 0.995  # counts are whole: never less than 95 %
 
