@@ -57,6 +57,7 @@ class CountState:
     """What counting remembers of a sensor; a value, never changed in place."""
 
     lines: tuple[Line, ...]
+    placed_on: tuple[int, ...]  # lanes that the lines were placed across; none where lines are drawn
     vehicles: Vehicles
     states: LineStates
     window: tuple[Scan, ...]
@@ -75,7 +76,9 @@ class CountState:
 
 def nothing_counted() -> CountState:
     """Return the state before the first frame."""
-    return CountState((), no_vehicles(), no_line_states(0, 0), (), (), (), NOTHING_RECEIVED, NO_RULER, (), 0)
+    return CountState(
+        (), (), no_vehicles(), no_line_states(0, 0), (), (), (), NOTHING_RECEIVED, NO_RULER, (), 0
+    )
 
 
 def count(
@@ -83,7 +86,7 @@ def count(
 ) -> tuple[CountState, Counts]:
     """Return the state after a frame or tick, and what has become certain."""
     p, now_us = setup.parameters.counting, moment.time_us
-    state = _on_lines(state, lines_of(setup.config.count_lines) or place_lines(lanes, p))
+    state = _with_lines(state, lines_of(setup.config.count_lines), lanes, p)
     scan = scan_of(now_us, moment.frame, estimates)
     window = remember(state.window, scan, round(p.window_s * 1e6))
     joined = join(state.vehicles, scan, p)
@@ -108,12 +111,18 @@ def report(state: CountState) -> Counts:
     return Counts(received=state.coverage.minutes, cells=_sums(state.cells))
 
 
-def _on_lines(state: CountState, lines: tuple[Line, ...]) -> CountState:
-    """Return the state with these lines; to others, where vehicles stand must be seen anew."""
-    if lines == state.lines:
+def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: CountParameters) -> CountState:
+    """Return the state with the lines drawn, or placed; to others, where vehicles stand must be seen anew.
+
+    Placed lines stay where they are while the map has the same lanes, however its centre lines shift.
+    """
+    across = () if drawn else tuple(lane.index for lane in lanes.lanes)
+    kept = state.lines == drawn if drawn or not across else state.placed_on == across
+    if kept:
         return state
+    lines = drawn or place_lines(lanes, p)
     states = no_line_states(len(state.vehicles.number), len(lines))
-    return replace(state, lines=lines, states=states, leaders=())
+    return replace(state, lines=lines, placed_on=across, states=states, leaders=())
 
 
 def _followed(

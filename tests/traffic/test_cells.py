@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,21 @@ def test_without_drawn_lines_one_is_placed_across_the_lanes_of_each_direction():
     assert sorted((second.x0_m, second.x1_m)) == [-10.5, -5.5]
     assert first.x0_m > first.x1_m  # approaching traffic goes to the left of the way from right to left
     assert second.x0_m < second.x1_m
+
+
+def test_placed_lines_stay_while_the_map_has_the_same_lanes():
+    setup = traffic_setup(SensorConfig())
+    nobody = estimates([], 0, 0, 0, 0)
+
+    def lines_after(state, lanes, k):
+        state, _ = count(state, Moment(START_US + k * FRAME_US, k, tick=False), nobody, lanes, setup)
+        return state, state.lines
+
+    moved = [replace(lane, points_m=lane.points_m + np.array([0.2, 0.0])) for lane in ROAD.lanes]
+    state, first = lines_after(nothing_counted(), ROAD, 1)
+    state, second = lines_after(state, replace(ROAD, version=4, lanes=tuple(moved)), 2)
+    state, third = lines_after(state, replace(ROAD, version=5, lanes=tuple(moved[:2])), 3)
+
+    assert len(first) == 2
+    assert second == first
+    assert len(third) == 1
