@@ -37,6 +37,7 @@ class DiagnosisParameters:
     # Mounting, from tracks:
     line_reach_m: float = 25.0  # of a track to either side of a count line
     line_samples_least: int = 8
+    line_aspect_deg: float = 45.0  # between a line's normal and the sight to its middle
     line_cover: float = 0.6  # of the reach, on both sides
     crossings_least: int = 12  # sound: 46 to 65 a line and minute
     yaw_deg: float = 0.4  # sound: at most 0.15
