@@ -11,6 +11,8 @@ from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 
+VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
+ROW = 14  # columns of a row of Births
 MAX_STANDING_BOXES = 12  # a bound on the work of one frame, in counts
 
 
@@ -25,6 +27,11 @@ class BirthParameters:
     radial_std_mps: float = 0.4
     length_m: float = 4.4  # a car until more is known
     width_m: float = 1.9
+    road_heading_std_rad: float = 0.15  # of a vehicle about the direction in which others have driven there
+    guess_heading_std_rad: float = 0.8  # of one whose direction is a guess
+    slant_std_rad: float = 0.2  # of an unknown road to the line of sight
+    crossing_std_mps: float = 8.0  # across the line of sight, of a vehicle that does not move along it ...
+    crossing_below_mps: float = 10.0  # ... and less the faster it does, down to none here
     standing_interval_frames: int = 5
     standing_window_s: float = 1.0
     standing_min_frames: int = 10  # half the window at 20 Hz
@@ -53,6 +60,7 @@ class Births:
     extent_m: F64
     length_m: F64
     standing: Bool
+    heading_var: F64  # rad^2
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -83,11 +91,15 @@ def birth_clusters(label: I64, free: Bool, frame: I64, current: int, min_points:
     return good[:found]
 
 
-def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters) -> F64:
+def moving_birth(
+    points: F64, trail: F64, age_s: F64, road_heading_rad: float | None, p: BirthParameters
+) -> F64:
     """Return one row of Births' floats for the current points of a moving cluster.
 
-    points (n, POINT_COLUMNS). The velocity is the Doppler along the line of sight, or along the road's
-    direction where the road map knows it.
+    points (n, POINT_COLUMNS) of this frame; trail (m, POINT_COLUMNS), age_s (m,): all points of the cluster.
+    The velocity is the Doppler along the line of sight, or along the road's direction where the road map
+    knows it. Where it does not, the way that the cluster has come across the line of sight tells what little
+    a few frames can.
     """
     v = float(np.nanmedian(points[:, PV])) if np.isfinite(points[:, PV]).any() else math.nan
     weight = points[:, PWEIGHT]
@@ -97,13 +109,22 @@ def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters
     speed = 0.0 if math.isnan(v) else v
     heading = los if speed >= 0.0 else los + math.pi
     vx, vy = speed * math.sin(los), speed * math.cos(los)
-    std_tangential = p.tangential_std_mps
+    std_tangential, heading_var = p.tangential_std_mps, p.guess_heading_std_rad**2
+    known = False
     if road_heading_rad is not None:
         along = math.cos(road_heading_rad - los)
         if abs(along) > 0.5 and (speed * along > 0.0 or abs(speed) < 1.0):
             heading = road_heading_rad
             vx, vy = speed / along * math.sin(heading), speed / along * math.cos(heading)
-            std_tangential = min(std_tangential, 1.5)
+            std_tangential, heading_var, known = min(std_tangential, 1.5), p.road_heading_std_rad**2, True
+    if not known:
+        # a vehicle that hardly moves along the line of sight may well move across it
+        slow = p.crossing_std_mps * math.sqrt(max(1.0 - (speed / p.crossing_below_mps) ** 2, 0.0))
+        prior = max(p.tangential_std_mps, p.slant_std_rad * abs(speed), slow)
+        sideways, std_tangential = _sideways_speed(trail, age_s, los, prior)
+        vx, vy = vx + sideways * math.cos(los), vy - sideways * math.sin(los)
+        heading = math.atan2(vx, vy) if abs(sideways) > std_tangential else heading
+        heading_var = min(heading_var, (std_tangential / max(math.hypot(vx, vy), 1.0)) ** 2)
     near = float(points[:, PG].min())
     centre = near + 0.05 + 0.5 * p.length_m * abs(math.cos(heading - los))
     n = len(points)
@@ -112,16 +133,34 @@ def moving_birth(points: F64, road_heading_rad: float | None, p: BirthParameters
         x * centre / g, y * centre / g, heading, vx, vy,
         math.sqrt(float(points[:, PVAR_R].mean()) + 0.16), std_t,
         10.0 if math.isnan(v) else p.radial_std_mps, 10.0 if math.isnan(v) else std_tangential, n,
-        float(np.ptp(points[:, PG])), p.length_m, 0.0,
+        float(np.ptp(points[:, PG])), p.length_m, 0.0, heading_var,
     ])  # fmt: skip
+
+
+def _sideways_speed(trail: F64, age_s: F64, los: float, prior_mps: float) -> tuple[float, float]:
+    """Return mean and std [m/s] of the speed across the line of sight, to the right, of a cluster's points.
+
+    Least squares of the points' places across over time; a point may lie anywhere on a vehicle, which is
+    noise to its speed. The prior has mean zero.
+    """
+    across = math.cos(los) * trail[:, PX] - math.sin(los) * trail[:, PY]
+    variance = trail[:, PVAR_AZ] * trail[:, PG] ** 2 + VEHICLE_POINT_STD_M**2
+    w = 1.0 / variance
+    t = -age_s
+    t = t - float(np.average(t, weights=w))
+    information = float((w * t * t).sum()) + 1.0 / prior_mps**2
+    return float((w * t * across).sum()) / information, 1.0 / math.sqrt(information)
 
 
 def gather(rows: list[F64]) -> Births:
     """Return the rows of `moving_birth` and `standing_births` as columns."""
-    table = np.array(rows).reshape(-1, 13)
-    x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing = table.T
+    table = np.array(rows).reshape(-1, ROW)
+    x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing, heading_var = (
+        table.T
+    )
     return Births(
-        x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing > 0.5
+        x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing > 0.5,
+        heading_var,
     )  # fmt: skip
 
 
@@ -268,6 +307,7 @@ def _standing_box(
         np.array([
             s * centre_u + c * centre_w, c * centre_u - s * centre_w, heading, 0.0, 0.0, 0.6, 0.6, 0.3, 0.5,
             rate, end - u0, length, 1.0,
+            (p.road_heading_std_rad if on_road else p.guess_heading_std_rad) ** 2,
         ]),
         inside,
     )  # fmt: skip

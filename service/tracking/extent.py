@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.boxes import M_COUNT, M_EDGE, M_U_MAX, M_U_MIN
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64, Bool
 from service.tracking.state import Tracks
 
@@ -37,22 +37,39 @@ class ExtentParameters:
     narrow_extent_m: float = 2.6  # a vehicle whose points never span more is short ...
     narrow_points: float = 3.5  # ... if it gives few points, too
     narrow_hits: int = 12  # hits with several points before a vehicle may be found to be short
-    turn_gain: float = 0.15
-    turn_gain_per_mps: float = 0.02
-    turn_gain_max: float = 0.6
     turn_above_mps: float = 1.0
     turn_certainty: float = 2.5  # the box turns once its speed is so many standard deviations
-    trust_heading_hits: int = 25  # hits that settle a heading
-    sideways_std_mps: float = 0.4  # how far a vehicle may move sideways to its settled heading ...
-    sideways_young_mps: float = 1.0  # ... to one that is still a guess ...
-    sideways_share: float = 0.06  # ... and more with its speed
+    turn_rate_gain: float = (
+        0.01  # 1: a critically damped alpha-beta filter; 0: vehicles are not taken to turn on
+    )
+    turn_rate_decay_s: float = 3.0
+    turn_memory_frames: float = 2.0  # frames over which the error of a velocity's direction repeats itself
+    wander_radius_m: float = 20.0  # vehicles turn this sharply as a rule, for about a second
+    wander_accel_mps2: float = 2.0  # ... and pull this much sideways
+    settled_std_rad: float = 0.25  # a heading better known than this cannot be the wrong way round
+    turn_radius_m: float = 6.0  # no vehicle turns more sharply ...
+    turn_accel_mps2: float = 5.0  # ... or pulls more than this sideways
+    sideways_std_mps: float = 0.4  # how far a vehicle may move sideways to its heading ...
+    sideways_share: float = 0.06  # ... and more with its speed, where all drive its way
+    # ... where they do not, or nobody knows: a turning vehicle's heading is wrong for half a second, ten
+    # frames on end
+    sideways_free_mps: float = 1.2
+    sideways_free_share: float = 0.15
+    # a vehicle without a range rate and with little speed is taken to stand
+    still_range_rate_mps: float = 0.25
+    still_speed_mps: float = 1.5
+    still_std_mps: float = 0.5  # how far that binds, end-on, in one frame ...
+    still_side_on_mps: float = 1.5  # ... and as much more side-on, where the range rate tells little
 
 
-def learn(tracks: Tracks, measured: F64, hit: Bool, across_std_rad: float, p: ExtentParameters) -> Tracks:
+def learn(
+    tracks: Tracks, measured: F64, hit: Bool, one_way: Bool, across_std_rad: float, dt_s: float,
+    p: ExtentParameters,
+) -> Tracks:  # fmt: skip
     """Return the tracks with their length, width, heading and sideways speed settled after a frame.
 
-    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); across_std_rad: azimuth noise of a
-    point.
+    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); one_way (T,): all drive there as
+    the track does; across_std_rad: azimuth noise of a point.
     """
     if not len(tracks):
         return tracks
@@ -66,13 +83,24 @@ def learn(tracks: Tracks, measured: F64, hit: Bool, across_std_rad: float, p: Ex
          float(p.narrow_hits)),
         (p.wide_from_m, p.wide_m, p.car_width_m, p.narrow_below_m, p.narrow_width_m),
     )  # fmt: skip
+    heading_var = tracks.heading_var.copy()
+    turn_rate = tracks.turn_rate_radps.copy()
     _turn(
-        mean, cov, heading, length,
-        (p.turn_gain, p.turn_gain_per_mps, p.turn_gain_max, p.turn_above_mps, p.turn_certainty),
+        mean, cov, heading, heading_var, turn_rate, length, dt_s,
+        (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
+         p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
-    settled = (tracks.hits > p.trust_heading_hits) | tracks.standing
-    _along_only(mean, cov, heading, settled, p.sideways_std_mps, p.sideways_young_mps, p.sideways_share)
-    return tracks.but(mean=mean, cov=cov, heading_rad=heading, length_m=length, width_m=width, extent_m=ring)
+    std_mps = np.where(one_way, p.sideways_std_mps, p.sideways_free_mps)
+    share = np.where(one_way, p.sideways_share, p.sideways_free_share)
+    _along_only(mean, cov, heading, heading_var, std_mps, share)
+    _stand_still(
+        mean, cov, heading, hit,
+        (p.still_range_rate_mps, p.still_speed_mps, p.still_std_mps, p.still_side_on_mps),
+    )  # fmt: skip
+    return tracks.but(
+        mean=mean, cov=cov, heading_rad=heading, heading_var=heading_var, turn_rate_radps=turn_rate,
+        length_m=length, width_m=width, extent_m=ring,
+    )  # fmt: skip
 
 
 @kernel
@@ -123,24 +151,62 @@ def _learn_length(
         width[i] = wide if new > wide_from else (narrow_width if new < narrow_below else car_width)
 
 
+def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tuple[Tracks, F64]:
+    """Return predicted tracks and means (T, 6) whose headings, velocities and accelerations turn on."""
+    if not len(tracks):
+        return tracks, mean
+    rate = tracks.turn_rate_radps * math.exp(-dt_s / p.turn_rate_decay_s)
+    angle = rate * dt_s
+    out, c, s = mean.copy(), np.cos(angle), np.sin(angle)
+    for i, j in ((1, 4), (2, 5)):
+        out[:, i], out[:, j] = c * mean[:, i] + s * mean[:, j], c * mean[:, j] - s * mean[:, i]
+    heading = tracks.heading_rad + angle
+    return tracks.but(heading_rad=heading, turn_rate_radps=rate), out
+
+
 @kernel
-def _turn(mean: F64, cov: F64, heading: F64, length: F64, turning: tuple[float, ...]) -> None:
-    """Turn boxes towards their velocity, about the near face, in place."""
-    gain0, gain_per_mps, gain_max, above, certainty = turning
+def _turn(
+    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, length: F64, dt_s: float,
+    turning: tuple[float, ...],
+) -> None:  # fmt: skip
+    """Turn boxes towards their velocity, about the near face, in place.
+
+    The heading is a state of its own, a random walk as wide as a vehicle of that speed turns, measured by the
+    direction of the velocity. Once it is settled it turns no faster than a vehicle can (its wheels bound
+    the curvature, its tyres the sideways acceleration), and never over.
+    """
+    above, certainty, memory, radius, accel, settled, radius_min, accel_max, rate_gain = turning
     for i in range(len(heading)):
         vx, vy = mean[i, 1], mean[i, 4]
         speed = math.hypot(vx, vy)
+        rate = min(speed / radius, accel / max(speed, 1e-3))
+        heading_var[i] = min(heading_var[i] + rate * rate * dt_s, 1.0)
+        before = heading[i]
+        s, c = math.sin(before), math.cos(before)
         if speed <= above or speed <= certainty * math.sqrt(0.5 * (cov[i, 1, 1] + cov[i, 4, 4])):
             continue
-        before = heading[i]
         error = (math.atan2(vx, vy) - before + math.pi) % (2.0 * math.pi) - math.pi
+        sure = heading_var[i] < settled
         if abs(error) > 0.5 * math.pi:
+            if sure:
+                continue
             # a first guess that was the wrong way round is turned over at once: the box is the same either
             # way
             before += math.pi
             error -= math.copysign(math.pi, error)
-        after = before + min(gain0 + gain_per_mps * speed, gain_max) * error
-        after = (after + math.pi) % (2.0 * math.pi) - math.pi
+        across = c * c * cov[i, 1, 1] - 2.0 * s * c * cov[i, 1, 4] + s * s * cov[i, 4, 4]
+        noise = memory * across / (speed * speed)
+        gain = heading_var[i] / (heading_var[i] + noise)
+        change = gain * error
+        if sure:
+            most = dt_s * min(speed / radius_min, accel_max / speed)
+            change = min(max(change, -most), most)
+            if dt_s > 0.0:
+                fastest = most / dt_s
+                rate = turn_rate[i] + rate_gain * gain * gain / (2.0 - gain) * error / dt_s
+                turn_rate[i] = min(max(rate, -fastest), fastest)
+        heading_var[i] *= 1.0 - gain
+        after = (before + change + math.pi) % (2.0 * math.pi) - math.pi
         arm = 0.5 * length[i] * (-1.0 if math.cos(after - math.atan2(mean[i, 0], mean[i, 3])) > 0.0 else 1.0)
         mean[i, 0] += arm * (math.sin(before) - math.sin(after))
         mean[i, 3] += arm * (math.cos(before) - math.cos(after))
@@ -148,31 +214,56 @@ def _turn(mean: F64, cov: F64, heading: F64, length: F64, turning: tuple[float, 
 
 
 @kernel
-def _along_only(
-    mean: F64, cov: F64, heading: F64, settled: Bool, std_mps: float, young_mps: float, share: float
-) -> None:
+def _along_only(mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64) -> None:
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
-    Its standard deviation is wide while the heading is a guess, and narrow once hits have settled it. Without
-    Doppler a young track's velocity may point anywhere: there its heading must not bind it.
+    The less the heading is known, the less it binds: its error turns speed into sideways speed.
     """
     gain, joseph = np.empty(6), np.empty((6, 6))
     for t in range(len(mean)):
         a, b = math.cos(heading[t]), -math.sin(heading[t])  # H = [0 a 0 0 b 0]
-        guess = max(young_mps, math.sqrt(0.125 * (cov[t, 1, 1] + cov[t, 4, 4])))
-        std = (std_mps if settled[t] else guess) + share * math.hypot(mean[t, 1], mean[t, 4])
-        r = std * std
-        sideways = a * mean[t, 1] + b * mean[t, 4]
-        s = a * a * cov[t, 1, 1] + 2.0 * a * b * cov[t, 1, 4] + b * b * cov[t, 4, 4] + r
-        for i in range(6):
-            gain[i] = (a * cov[t, i, 1] + b * cov[t, i, 4]) / s
-        # Joseph form, written out for one row of H
-        for i in range(6):
-            for j in range(6):
-                joseph[i, j] = cov[t, i, j] - gain[i] * (a * cov[t, 1, j] + b * cov[t, 4, j])
-        for i in range(6):
-            for j in range(i, 6):
-                value = joseph[i, j] - (a * joseph[i, 1] + b * joseph[i, 4]) * gain[j] + r * gain[i] * gain[j]
-                cov[t, i, j] = cov[t, j, i] = value
-        for i in range(6):
-            mean[t, i] -= gain[i] * sideways
+        along = mean[t, 1] * mean[t, 1] + mean[t, 4] * mean[t, 4]
+        std = std_mps[t] + share[t] * math.sqrt(along)
+        along += cov[t, 1, 1] + cov[t, 4, 4]
+        r = std * std + along * heading_var[t]
+        _condition(mean[t], cov[t], a, b, r, gain, joseph)
+
+
+@kernel
+def _stand_still(
+    mean: F64, cov: F64, heading: F64, hit: Bool, limits: tuple[float, float, float, float]
+) -> None:
+    """Apply, in place, the pseudo-measurement that what hardly moves along the line of sight stands.
+
+    Noise of position would else make the boxes of a queue seen side-on creep from one vehicle to the next.
+    """
+    rate_mps, speed_mps, std_mps, side_on_mps = limits
+    gain, joseph = np.empty(6), np.empty((6, 6))
+    for t in range(len(mean)):
+        g = max(math.hypot(mean[t, 0], mean[t, 3]), 1.0)
+        rate = (mean[t, 0] * mean[t, 1] + mean[t, 3] * mean[t, 4]) / g
+        if not hit[t] or abs(rate) > rate_mps or math.hypot(mean[t, 1], mean[t, 4]) > speed_mps:
+            continue
+        s, c = math.sin(heading[t]), math.cos(heading[t])
+        across = (c * mean[t, 0] - s * mean[t, 3]) / g
+        std = std_mps + side_on_mps * across * across
+        _condition(mean[t], cov[t], s, c, std * std, gain, joseph)
+
+
+@part
+def _condition(mean: F64, cov: F64, a: float, b: float, r: float, gain: F64, joseph: F64) -> None:
+    """Condition one state, in place, on a speed of zero, of variance r, along H = [0 a 0 0 b 0]."""
+    speed = a * mean[1] + b * mean[4]
+    s = a * a * cov[1, 1] + 2.0 * a * b * cov[1, 4] + b * b * cov[4, 4] + r
+    for i in range(6):
+        gain[i] = (a * cov[i, 1] + b * cov[i, 4]) / s
+    # Joseph form, written out for one row of H
+    for i in range(6):
+        for j in range(6):
+            joseph[i, j] = cov[i, j] - gain[i] * (a * cov[1, j] + b * cov[4, j])
+    for i in range(6):
+        for j in range(i, 6):
+            value = joseph[i, j] - (a * joseph[i, 1] + b * joseph[i, 4]) * gain[j] + r * gain[i] * gain[j]
+            cov[i, j] = cov[j, i] = value
+    for i in range(6):
+        mean[i] -= gain[i] * speed

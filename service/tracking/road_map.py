@@ -26,7 +26,11 @@ class RoadMapParameters:
     learn_hits: int = 40  # a track teaches the map only after so many hits
     learn_speed_mps: float = 3.0
     learn_interval_frames: int = 3  # at 25 m/s a vehicle needs three frames for a cell
+    arc_step_m: float = 1.0  # of the way back to where a track was first seen
+    arc_half_turn_rad: float = 0.6  # a sharper turn is no arc of one circle
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
+    one_way_agreement: float = 0.97  # length of the mean direction: all within some 15 degrees
+    one_way_std_rad: float = 0.35  # a vehicle further off that direction is turning
     mature_tracks: float = 12.0  # tracks learned before absence from the map means anything
 
 
@@ -68,6 +72,29 @@ def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: Ro
     return RoadMap(tracks, sine, cosine, road.teachers + first)
 
 
+def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
+    """Return (K, 3) places x, y and headings along the circle from `start` to `end`, (2,), one for each cell.
+
+    A track is sure of itself only after a second or two, a long way from where it was first seen. From its
+    first place to where it is now, heading `heading_rad`, it came along a circle: the chord halves the turn.
+    No places when the two are too near, or the turn too sharp, for the chord to tell.
+    """
+    dx, dy = end - start
+    length = math.hypot(dx, dy)
+    chord = math.atan2(dx, dy)
+    half_turn = (heading_rad - chord + math.pi) % (2.0 * math.pi) - math.pi
+    if length < 2.0 * p.cell_y_m or abs(half_turn) > p.arc_half_turn_rad:
+        return np.zeros((0, 3))
+    share = (np.arange(1.0, max(2.0, length // p.arc_step_m)) * p.arc_step_m / length)[:, None]
+    bow = 0.5 * length * math.tan(0.5 * half_turn) * 4.0 * share * (1.0 - share)  # to the left of the chord
+    place = start + share * (end - start) + bow * np.array([-math.cos(chord), math.sin(chord)])
+    heading = chord + (2.0 * share[:, 0] - 1.0) * half_turn
+    i, j, inside = cell_of(place[:, 0], place[:, 1], p)
+    _, first = np.unique(i * 100_000 + j, return_index=True)
+    first = np.sort(first[inside[first]])
+    return np.asarray(np.column_stack([place, heading])[first])
+
+
 def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[F64, F64, F64]:
     """Return, for each place, the tracks seen in its cell, their mean heading [rad] and its agreement.
 
@@ -75,6 +102,13 @@ def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[
     """
     where = (p.reach_x_m, p.cell_x_m, p.cell_y_m)
     return _driven_at(road.tracks, road.sine, road.cosine, np.array(x_m), np.array(y_m), where)
+
+
+def goes_with(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, p: RoadMapParameters) -> Bool:
+    """Return which places lie where all have driven one way, and which of those head that way."""
+    count, heading, agreement = driven_at(road, x_m, y_m, p)
+    one_way = (count >= p.driven_tracks) & (agreement > p.one_way_agreement)
+    return np.asarray(one_way & (np.cos(heading_rad - heading) > math.cos(p.one_way_std_rad)))
 
 
 @kernel

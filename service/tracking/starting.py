@@ -40,7 +40,9 @@ def find_births(
         centre = points[mine].mean(axis=0)
         n, heading, agreement = road_map.driven_at(state.road, centre[[PX]], centre[[PY]], p.road)
         known = n[0] >= p.road.driven_tracks and agreement[0] > 0.8
-        rows.append(birth.moving_birth(points[mine], float(heading[0]) if known else None, b))
+        age_s = (time_us - window.time_us[member]) / 1e6
+        trail = window.points[member]
+        rows.append(birth.moving_birth(points[mine], trail, age_s, float(heading[0]) if known else None, b))
     if state.frames % b.standing_interval_frames == 0 and len(state.frame_times_us) >= b.standing_min_frames:
         rows += _standing(state, p)
     if not rows:
@@ -123,7 +125,8 @@ def start(
     rings[:, 0] = np.where(born.points >= 2, born.extent_m, np.nan)
     new = Tracks(
         number=state.next_number + np.arange(n), mean=fresh.mean, cov=fresh.cov, memory=fresh.memory,
-        heading_rad=born.heading_rad, length_m=born.length_m,
+        heading_rad=born.heading_rad, heading_var=born.heading_var, turn_rate_radps=np.zeros(n),
+        length_m=born.length_m,
         width_m=np.where(born.length_m > p.extent.wide_from_m, p.extent.wide_m, p.birth.width_m),
         log_odds=np.where(sure, e.confirm_log_odds + 1.0, e.birth_log_odds),
         status=np.where(sure, TrackStatus.CONFIRMED, TrackStatus.TENTATIVE).astype(np.uint8),

@@ -72,7 +72,7 @@ def step(
     p = parameters
     bank = bank or make_filter(p.filter, p.filters)
     state = _with_filter(state, bank)
-    points = point_array(frame, p.sensor)
+    seen = points = point_array(frame, p.sensor)
     watch("points")
     usable, standing, no_birth = _sort_points(state, points, p)
     if not usable.all():
@@ -86,6 +86,8 @@ def step(
     tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p, watch)
     owned = assignment.owner >= 0
     sure = np.concatenate((tracks.confirmed, _NOBODY))[assignment.owner]
+    unclaimed = np.ones(len(seen), dtype=np.bool_)
+    unclaimed[usable] = ~sure
     window = Window(
         window.points, window.time_us, np.concatenate((window.owned[:new], owned)), window.standing
     )
@@ -105,7 +107,7 @@ def step(
     born = find_births(state, label, free, points, frame.time_us, p)
     tracks = start(state, bank, born, frame.time_us, p)
     watch("births")
-    clutter = clutter_map.learn(state.clutter, points, ~sure, p.clutter)
+    clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
     watch("clutter")
     state = replace(
         state,
@@ -258,9 +260,10 @@ def _track(
     watch: Watch,
 ) -> tuple[Tracks, Assignment, TrailBook]:  # fmt: skip
     """Return the tracks after prediction, association, update and recovery, the association, the trails."""
-    tracks, dt_s = state.tracks, _dt_s(state, time_us)
-    prediction = bank.predict(_filter_state(tracks), dt_s)
-    prediction = replace(prediction, noise=_widened(prediction.noise, tracks, p))
+    dt_s = _dt_s(state, time_us)
+    prediction = bank.predict(_filter_state(state.tracks), dt_s)
+    tracks, mean = extent.turn_on(state.tracks, prediction.mean, dt_s, p.extent)
+    prediction = replace(prediction, mean=mean, noise=_widened(prediction.noise, tracks, p))
     cov = prediction.cov
     expected = bank.expected(prediction)
     watch("filter")
@@ -275,9 +278,10 @@ def _track(
     tracks = tracks.but(mean=after.mean, cov=after.cov, memory=after.memory)
     seen = Seen(points, label, boxes, dt_s, state.range_seen_min_m)
     tracks, a, trails = recover(tracks, a, seen, bank, state.trails, p)
-    across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
     watch("recover")
-    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, across_std_rad, p.extent)
+    across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
+    one_way = road_map.goes_with(state.road, tracks.x_m, tracks.y_m, tracks.heading_rad, p.road)
+    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, one_way, across_std_rad, dt_s, p.extent)
     watch("extent")
     return tracks, a, trails
 
@@ -345,6 +349,11 @@ def _teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:
     teach &= (cell != t.map_cell) & inside
     if not teach.any():
         return state
+    new = np.flatnonzero(teach & (t.map_cell < 0) & ~t.standing)
+    here = np.column_stack([t.x_m, t.y_m, t.heading_rad])
+    born = np.column_stack([t.born_x_m, t.born_y_m])
+    ways = [road_map.arc(born[k], here[k, :2], float(here[k, 2]), p.road) for k in new]
+    places = np.concatenate([here[teach], *ways])
     first = int((teach & (t.map_cell < 0)).sum())
-    road = road_map.teach(state.road, t.x_m[teach], t.y_m[teach], t.heading_rad[teach], first, p.road)
+    road = road_map.teach(state.road, places[:, 0], places[:, 1], places[:, 2], first, p.road)
     return replace(state, road=road, tracks=replace(t, map_cell=np.where(teach, cell, t.map_cell)))

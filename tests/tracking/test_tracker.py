@@ -334,3 +334,12 @@ def test_association_by_maximum_probability_gives_each_track_one_measurement(rng
 def test_an_unknown_association_is_refused():
     with pytest.raises(InvalidInput, match="known are jpda, maximum-probability"):
         TrackerParameters().with_setting("boxes.association", "nearest")
+
+
+def test_a_post_stays_known_while_its_points_are_not_used(rng):
+    post = [detections(rng, *(np.array([c]) for c in (-8.0, 60.0, 0.0, 0.0)), 20.0) for _ in range(300)]
+
+    state, outputs = run([frame(k, p) for k, p in enumerate(post)])
+
+    assert state.clutter.occupancy.max() > 0.6
+    assert numbers(outputs) == []

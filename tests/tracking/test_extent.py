@@ -1,0 +1,174 @@
+"""How a box turns, what binds its velocity, and how the road map and births learn directions."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from service.tracking import births, extent, road_map
+from service.tracking.births import BirthParameters
+from service.tracking.boxes import (
+    MEASUREMENT_COLUMNS,
+    PG,
+    POINT_COLUMNS,
+    PV,
+    PVAR_AZ,
+    PVAR_R,
+    PWEIGHT,
+    PX,
+    PY,
+)
+from service.tracking.extent import ExtentParameters
+from service.tracking.road_map import RoadMapParameters
+from service.tracking.state import Tracks, no_tracks
+
+DT_S = 0.05
+
+
+def one_track(*, heading_rad=0.0, heading_std_rad=0.1, vx=0.0, vy=0.0, x=0.0, y=60.0, speed_var=0.01):
+    empty = no_tracks(0)
+    columns = (getattr(empty, field.name) for field in dataclasses.fields(empty))
+    blank = Tracks(*(np.zeros((1, *column.shape[1:]), column.dtype) for column in columns))
+    mean = np.array([[x, vx, 0.0, y, vy, 0.0]])
+    cov = np.diag([0.1, speed_var, 0.1, 0.1, speed_var, 0.1])[None]
+    return blank.but(
+        mean=mean, cov=cov, heading_rad=np.array([heading_rad]), hits=np.array([50]),
+        heading_var=np.array([heading_std_rad**2]), length_m=np.array([4.4]), width_m=np.array([1.9]),
+    )  # fmt: skip
+
+
+def learn(tracks, *, one_way=False, hit=True):
+    measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    flags = np.array([hit]), np.array([one_way])
+    return extent.learn(tracks, measured, *flags, 0.003, DT_S, ExtentParameters())
+
+
+def test_a_settled_box_turns_no_faster_than_its_wheels_allow():
+    track = one_track(heading_rad=math.pi, vx=1.5, vy=-1.5)  # the velocity points 45 degrees aside
+
+    turned = learn(track).heading_rad[0] % (2 * math.pi) - math.pi
+
+    assert 0 < abs(turned) <= DT_S * math.hypot(1.5, 1.5) / 6.0 + 1e-9
+
+
+def test_a_settled_box_is_not_turned_over_and_a_guess_is():
+    settled = learn(one_track(vy=-3.0))
+    guess = learn(one_track(vy=-3.0, heading_std_rad=0.8))
+
+    assert settled.heading_rad[0] == pytest.approx(0.0, abs=1e-6)
+    assert abs(guess.heading_rad[0]) == pytest.approx(math.pi, abs=1e-6)
+
+
+def test_an_unknown_heading_follows_the_velocity_at_once():
+    turned = learn(one_track(vx=6.0, vy=6.0, heading_std_rad=0.8))
+
+    assert turned.heading_rad[0] == pytest.approx(math.pi / 4, abs=0.05)
+    assert turned.heading_var[0] < 0.1**2
+
+
+def test_sideways_motion_is_bound_most_where_all_drive_one_way():
+    track = one_track(vx=1.0, vy=8.0, speed_var=1.0)
+
+    one_way, free = learn(track, one_way=True), learn(track)
+
+    assert abs(one_way.mean[0, 1]) + 0.1 < abs(free.mean[0, 1]) < 1.0
+
+
+def test_what_has_no_range_rate_is_taken_to_stand():
+    # side-on to the radar: the range rate is nearly none although it seems to move at 1 m/s
+    track = one_track(heading_rad=math.pi / 2, vx=1.0, vy=0.0, speed_var=1.0)
+
+    still, unseen = track, learn(track, hit=False)
+    for _ in range(40):
+        still = learn(still)
+
+    assert still.speed_mps[0] < 0.3
+    assert unseen.speed_mps[0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_vehicle_that_moves_off_is_not_held():
+    track = one_track(vy=0.6, speed_var=0.01)
+
+    assert learn(track).mean[0, 4] == pytest.approx(0.6, abs=0.02)
+
+
+def test_a_steady_turn_is_learned_and_predicted():
+    rate = 0.1  # rad/s: 25 m/s on a radius of 250 m
+    track, behind = one_track(vy=25.0), 0.0
+    for k in range(200):
+        track, mean = extent.turn_on(track, track.mean, DT_S, ExtentParameters())
+        angle = rate * DT_S * (k + 1)
+        mean[0, [1, 4]] = 25.0 * math.sin(angle), 25.0 * math.cos(angle)
+        mean[0, [0, 3]] = 0.0, 60.0
+        track = learn(track.but(mean=mean, cov=one_track().cov))
+        behind = angle - track.heading_rad[0]
+
+    assert track.turn_rate_radps[0] == pytest.approx(rate, rel=0.8)
+    assert abs(behind) < 0.02
+    assert extent.turn_on(track, track.mean, 1.0, ExtentParameters())[0].heading_rad[0] > track.heading_rad[0]
+
+
+def test_the_arc_back_to_the_first_place_lies_on_the_circle():
+    radius, turn = 80.0, math.radians(35.0)
+    end = radius * np.array([1.0 - math.cos(turn), math.sin(turn)])
+
+    places = road_map.arc(np.zeros(2), end, turn, RoadMapParameters())
+
+    assert len(places) > 8
+    off = np.hypot(places[:, 0] - radius, places[:, 1]) - radius
+    true = np.arctan2(places[:, 1], radius - places[:, 0])
+    np.testing.assert_allclose(off, 0.0, atol=0.05)
+    np.testing.assert_allclose(places[:, 2], true, atol=0.01)
+
+
+def test_no_arc_is_drawn_through_a_corner_or_a_step():
+    p = RoadMapParameters()
+
+    assert not len(road_map.arc(np.zeros(2), np.array([0.0, 3.0]), 0.0, p))
+    assert not len(road_map.arc(np.zeros(2), np.array([20.0, 20.0]), math.pi / 2 + 0.1, p))
+
+
+def test_only_a_vehicle_that_goes_with_all_others_goes_with_the_road():
+    p = RoadMapParameters()
+    road = road_map.empty_road_map(p)
+    for _ in range(3):
+        road = road_map.teach(road, np.array([1.0]), np.array([50.0]), np.array([0.1]), 1, p)
+    crossing = road_map.teach(road, np.array([1.0]), np.array([50.0]), np.array([1.6]), 1, p)
+    x, y = np.full(2, 1.0), np.full(2, 50.0)
+
+    assert road_map.goes_with(road, x, y, np.array([0.2, 1.5]), p).tolist() == [True, False]
+    assert not road_map.goes_with(crossing, x, y, np.array([0.2, 1.5]), p).any()
+
+
+def crossing_points(rng, speed_mps):
+    age_s = np.repeat([0.15, 0.10, 0.05, 0.0], 4)
+    points = np.zeros((len(age_s), POINT_COLUMNS))
+    points[:, PX] = -speed_mps * age_s + rng.normal(0, 0.2, len(age_s))
+    points[:, PY] = points[:, PG] = 80.0
+    points[:, PV], points[:, PVAR_R], points[:, PVAR_AZ], points[:, PWEIGHT] = 0.8, 0.02, 2e-6, 10.0
+    return points, age_s
+
+
+@pytest.mark.parametrize("speed_mps", [-14.0, 14.0])
+def test_a_vehicle_that_crosses_starts_across_the_line_of_sight(speed_mps):
+    points, age_s = crossing_points(np.random.default_rng(3), speed_mps)
+
+    born = births.gather([births.moving_birth(points[age_s == 0], points, age_s, None, BirthParameters())])
+
+    assert born.vx_mps[0] * speed_mps > 0
+    assert abs(born.vx_mps[0]) > 7.0
+    assert abs(born.heading_rad[0] - math.copysign(math.pi / 2, speed_mps)) < 0.3
+
+
+def test_the_road_map_tells_a_birth_its_heading():
+    points, age_s = crossing_points(np.random.default_rng(3), 0.0)
+    points[:, PV] = 10.0
+
+    p = BirthParameters()
+    born = births.gather([births.moving_birth(points[age_s == 0], points, age_s, 0.4, p)])
+
+    assert born.heading_rad[0] == pytest.approx(0.4)
+    assert born.heading_var[0] == pytest.approx(p.road_heading_std_rad**2)
