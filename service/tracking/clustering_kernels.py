@@ -167,6 +167,8 @@ def density_clusters(features: F64, weights: F64, min_weight: float, labels: I64
     for p in range(len(first)):
         a, b = first[p], second[p]
         if near[a] >= enough and near[b] >= enough:
+            if root[a] == root[b]:  # most pairs: already of one cluster
+                continue
             while root[a] != a:
                 root[a] = root[root[a]]
                 a = root[a]

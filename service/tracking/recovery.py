@@ -80,6 +80,7 @@ class TrailBook:
         return Trail(window, old.empty & flags)
 
 
+@cache
 def no_book() -> TrailBook:
     """Return a book without trails."""
     return TrailBook(np.zeros(0, np.int64), no_trail((0,), 0))
