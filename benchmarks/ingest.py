@@ -1,9 +1,12 @@
 """Measure ingest: frames per second that one process logs while it tracks, and how soon they are readable.
 
     python benchmarks/ingest.py [--sensors N] [--rate HZ] [--points N] [--seconds S] [--json OUT.json]
+                                [--http [--alone]]
 
-Each sensor posts at its rate, one frame a call, without HTTP: the numbers are those of the host.
-"readable" is the time from the call of `submit` to the wake-up of a reader that waits at the live view.
+Each sensor posts at its rate, one frame a call. Without `--http` the numbers are those of the host alone,
+and "readable" is the time from the call of `submit` to the wake-up of a reader that waits at the live view.
+With it a real server process is posted to (benchmarks/http_ingest.py); `--alone`: as fast as it takes,
+without tracking.
 """
 
 from __future__ import annotations
@@ -130,13 +133,25 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--points", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--http", action="store_true")
+    parser.add_argument("--alone", action="store_true")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
-    result = measure(options)
+    result = over_http(options) if options.http else measure(options)
     print(json.dumps(result, indent=1))
     if options.json:
         options.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def over_http(options: argparse.Namespace) -> dict[str, object]:
+    from benchmarks.http_ingest import measure_http  # noqa: PLC0415 - which needs `scene` of this file
+
+    count = 200 if options.alone else int(options.seconds * options.rate)
+    scenes = {
+        f"radar-{n}": scene(options.points, count, options.rate, seed=n) for n in range(options.sensors)
+    }
+    return measure_http(options, scenes)
 
 
 def measure(options: argparse.Namespace) -> dict[str, object]:

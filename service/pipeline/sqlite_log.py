@@ -25,6 +25,7 @@ import structlog
 
 from service.errors import InvalidFrame, StorageError, Unavailable, WaysideError
 from service.pipeline.codec import decode_record, encode_record, record_time_us
+from service.pipeline.promises import Promise, tell
 from service.pipeline.records import Record
 from service.pipeline.segments import Extent, Segment, set_aside
 
@@ -49,7 +50,7 @@ class LogLimits:
 class _Pending:
     sensor_id: str
     records: Sequence[Record]
-    done: Future[list[int]]
+    done: Future[list[int]] | Promise
 
 
 class SqliteLog:
@@ -101,18 +102,24 @@ class SqliteLog:
 
     def append_async(self, sensor_id: str, records: Sequence[Record]) -> asyncio.Future[list[int]]:
         """Do the same as `append` without blocking the event loop; await what is returned."""
-        return asyncio.wrap_future(self.append_later(sensor_id, records))
+        loop = asyncio.get_running_loop()
+        promise = Promise(loop, loop.create_future())
+        self._enqueue(_Pending(sensor_id, records, promise))
+        return promise.future
 
     def append_later(self, sensor_id: str, records: Sequence[Record]) -> Future[list[int]]:
         """Do the same without waiting; the future gives the positions once the records are durable."""
-        pending = _Pending(sensor_id, records, Future())
-        pending.done.set_running_or_notify_cancel()  # a caller that goes away does not take its records back
+        done: Future[list[int]] = Future()
+        done.set_running_or_notify_cancel()  # a caller that goes away does not take its records back
+        self._enqueue(_Pending(sensor_id, records, done))
+        return done
+
+    def _enqueue(self, pending: _Pending) -> None:
         with self._guard:
-            self._require_room(len(records))
+            self._require_room(len(pending.records))
             self._waiting.append(pending)
-            self._waiting_records += len(records)
+            self._waiting_records += len(pending.records)
             self._guard.notify_all()
-        return pending.done
 
     def _require_room(self, count: int) -> None:
         if self._closing:
@@ -164,6 +171,7 @@ class SqliteLog:
                     if not pending.done.done():
                         pending.done.set_exception(_as_unavailable(error, self._limits.retry_after_s))
             finally:
+                tell([pending.done for pending in batch if isinstance(pending.done, Promise)])
                 with self._guard:
                     self._waiting_records -= sum(len(pending.records) for pending in batch)
 

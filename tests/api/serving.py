@@ -13,7 +13,7 @@ import httpx
 from service.api.app import create_app
 from service.api.server import Server, listening
 from service.formats.rfc3339 import format_time_exact
-from service.pipeline.host import EmbeddedHost
+from service.pipeline.host import EmbeddedHost, wall_clock_us
 from service.settings import Settings
 from service.storage.database import open_database
 from service.storage.migrate import upgrade
@@ -38,12 +38,12 @@ class Service:
 
 @contextmanager
 def serving(folder, **settings):
-    tracker = settings.pop("tracker", simple_tracker)
+    tracker, clock = settings.pop("tracker", simple_tracker), settings.pop("clock", wall_clock_us)
     values = {"data_dir": folder, "port": 0, "flush_interval_s": 0.05, "disk_free_min_share": 0.0}
     chosen = Settings(_env_file=None, **(values | settings))
     engine = open_database(chosen.rows_url)
     upgrade(engine)
-    host = EmbeddedHost(engine, chosen, tracker=tracker)
+    host = EmbeddedHost(engine, chosen, tracker=tracker, clock_us=clock)
     app = create_app(host, engine, chosen)
     ready, urls = threading.Event(), []
     server = Server(app, chosen, lambda url: (urls.append(url), ready.set()))

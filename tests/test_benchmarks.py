@@ -1,0 +1,68 @@
+"""Short cuts of the commands whose results stand in docs/measured/."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks import hostile, ingest  # noqa: E402
+
+
+@pytest.mark.slow
+def test_hostile_requests_break_nothing_store_nothing_and_take_no_memory():
+    found = hostile.measure(1500, seed=7, connections=4, idle_tracker=True)
+
+    assert (found["answered_5xx"], found["failures"], found["server_alive"]) == (0, [], True)
+    assert found["frames_in_log"] == found["frames_called_logged"] > 0
+    assert found["frames_in_log_with_wrong_values"] == 0
+    assert found["growth"] < 0.25  # caches still fill in so short a run; the bar of 10 % is for the long one
+    assert found["statuses"]["422"] > 500
+
+
+def test_hostile_requests_are_the_same_for_the_same_seed(monkeypatch):
+    monkeypatch.setattr(hostile.time, "time_ns", lambda: 1_764_000_000_000_000_000)
+
+    def draw(seed):
+        rng = random.Random(seed)  # noqa: S311
+        return [hostile.hostile(rng) for _ in range(300)]
+
+    assert draw(1) == draw(1)
+    assert draw(1) != draw(2)
+    assert len({request.kind for request in draw(1)}) > 40
+
+
+@pytest.mark.slow
+def test_frames_posted_to_a_real_server_are_accepted_and_timed():
+    options = argparse.Namespace(sensors=2, rate=20.0, points=100, seconds=1.0, alone=True)
+
+    found = ingest.over_http(options)
+
+    assert set(found["statuses"]) == {202}
+    assert found["accepted_per_s"] > 20
+    assert found["server_cpu_us_per_frame"] > 0
+    assert found["reply_ms"]["p99"] > 0
+
+
+@pytest.mark.slow
+def test_streams_long_polls_and_an_export_are_served_beside_posts(tmp_path):
+    out = tmp_path / "delivery.json"
+    command = ["--sensors", "2", "--streams", "6", "--polls", "2", "--rows", "6000", "--seconds", "2"]
+    subprocess.run(
+        [sys.executable, ROOT / "benchmarks/delivery.py", *command, "--json", out],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+
+    last = json.loads(out.read_text())["posts_readers_and_export"]
+    assert set(last["statuses"]) == {"202"}
+    assert last["readers"]["streams"]["slowest_reader_hz"] > 0
+    assert last["readers"]["polls"]["views_per_s"] > 0
+    assert last["export"]["frames"] == 200
