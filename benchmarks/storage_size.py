@@ -63,7 +63,8 @@ class Result:
     states: int
     tracks: int
     file_bytes: int
-    bytes_per_state: float
+    empty_bytes: int  # of the file before the first row: a page for each table and index
+    bytes_per_state: float  # without them
     flush_ms: float  # mean of one sensor's second
     log_bytes_per_frame: float
     log_overhead: float  # file bytes a byte of frame
@@ -163,26 +164,33 @@ def measure(path: Path, load: Load, seed: int = SEED) -> Result:
     """Write the load into a new database at `path` and return what it cost."""
     engine = open_database(f"sqlite:///{path}")
     upgrade(engine)
+    empty = _size(engine, path)
     traffic = [Traffic(f"radar-{i + 1}", load, np.random.default_rng((seed, i))) for i in range(load.sensors)]
     states, flush_s = _write(engine, traffic, load)
     with engine.connect() as connection:
         tracks = connection.scalar(text("SELECT count(*) FROM tracks"))
-    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+    size = _size(engine, path)
     engine.dispose()
-    size = path.stat().st_size
     frame_bytes, overhead = measure_log(path.parent / "log", load.points, seed)
     return Result(
         states,
         tracks or 0,
         size,
-        size / states,
+        empty,
+        (size - empty) / states,
         1000 * flush_s / (load.seconds * load.sensors),
         frame_bytes,
         overhead,
         frame_bytes * RATE_HZ * 3600 / 1e6,
         size / (load.seconds * load.sensors) * 3600 / 1e6,
     )
+
+
+def _size(engine: Engine, path: Path) -> int:
+    """Return the bytes of the database file with all that was committed in it."""
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
+    return path.stat().st_size
 
 
 def _write(engine: Engine, traffic: list[Traffic], load: Load) -> tuple[int, float]:

@@ -36,7 +36,7 @@ def test_the_page_and_its_files_are_served_under_a_strict_policy(app):
     assert "javascript" in script.headers["content-type"]
     for reply in (page, script):
         policy = reply.headers["content-security-policy"]
-        assert "default-src 'self'" in policy
+        assert "default-src 'none'; script-src 'self'; style-src 'self'" in policy
         assert "unsafe" not in policy
         assert reply.headers["cache-control"] == "no-cache"
 

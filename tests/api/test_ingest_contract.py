@@ -159,10 +159,10 @@ def test_a_full_disk_is_503_with_retry_after_and_passes_by_itself(tmp_path, monk
 
 
 def test_a_full_log_takes_frames_again_once_the_tracker_has_stored_them(tmp_path):
-    limits = {"log_limit_bytes": 100_000, "flush_interval_s": 2.0, "snapshot_interval_s": 0.1}
+    limits = {"log_limit_bytes": 600_000, "flush_interval_s": 2.0, "snapshot_interval_s": 0.1}
     with serving(tmp_path, **limits) as running:
         running.post("/sensors", json={"sensor_id": "radar-1"})
-        sent = recording("radar-1", 3000)
+        sent = recording("radar-1", 3000, vehicles=20)
         parts = iter([sent[k : k + 50] for k in range(0, len(sent), 50)])
 
         def post(part):

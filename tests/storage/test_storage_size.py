@@ -18,7 +18,7 @@ def benchmark_module():
 
 @pytest.mark.slow
 def test_a_stored_track_state_takes_at_most_thirty_bytes_of_the_file(benchmark_module, tmp_path):
-    # 45 s without snapshots: so long that the pages of the empty tables, 0.1 MB, weigh 2 bytes a state only
+    # without snapshots: one a sensor, however long it runs
     load = benchmark_module.Load(seconds=45, sensors=1, tracks=60, life_s=12.0, snapshot_bytes=0)
 
     result = benchmark_module.measure(tmp_path / "rows.sqlite", load)
