@@ -19,10 +19,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import orjson
-
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np  # noqa: E402
+import orjson  # noqa: E402
+
+from benchmarks.commit import commit  # noqa: E402
+
 START_S = 240.0  # compiling kernels on a busy machine
 HOST = "127.0.0.1"
 JSON = "Content-Type: application/json\r\n"
@@ -155,12 +159,8 @@ def product_us(repeats: int = 20) -> float:
 
 def circumstances() -> dict[str, object]:
     """Return what else decides the numbers."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],  # noqa: S607
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    ).stdout.strip()  # fmt: skip
     return {
-        "commit": commit,
+        "commit": commit(),
         "python": platform.python_version(),
         "processors": os.cpu_count(),
         "load_average": round(os.getloadavg()[0], 1),
@@ -175,7 +175,6 @@ def percentiles_ms(values: list[float]) -> dict[str, float]:
 
 def _serve() -> None:
     """Be the server process: what `wayside serve` runs; an idle tracker never gets a sensor to fold."""
-    sys.path.insert(0, str(ROOT))
     from service.api.server import run  # noqa: PLC0415
     from service.pipeline.tracker_thread import TrackerThread  # noqa: PLC0415
     from service.settings import Settings  # noqa: PLC0415

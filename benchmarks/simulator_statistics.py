@@ -13,11 +13,14 @@ import itertools
 import json
 import math
 import platform
-import subprocess
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
+from benchmarks.commit import commit
 from service.simulation.scene_replay import compare_scene, join
 from service.simulation.statistics import (
     RANGE_EDGES_M,
@@ -65,16 +68,9 @@ def main() -> None:
 
 def circumstances() -> dict[str, object]:
     """Return what the numbers depend on."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"],  # noqa: S607 - whichever git is installed
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parent,
-    )
     return {
         "machine": {"architecture": platform.machine(), "python": platform.python_version()},
-        "commit": commit.stdout.strip() or None,
+        "commit": commit(),
     }
 
 

@@ -14,15 +14,18 @@ import json
 import os
 import platform
 import sqlite3
-import subprocess
+import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
 from sqlalchemy import Engine, text
 
+from benchmarks.commit import commit
 from service.formats.sensor import SensorConfig
 from service.pipeline.codec import encode_record
 from service.pipeline.records import FrameRecord
@@ -222,13 +225,6 @@ def _write(engine: Engine, traffic: list[Traffic], load: Load) -> tuple[int, flo
 
 def circumstances() -> dict[str, object]:
     """Return what a number measured here depends on."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"],  # noqa: S607 - whichever git is installed
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parent,
-    )
     machine = {
         "architecture": platform.machine(),
         "cores": os.cpu_count(),
@@ -237,7 +233,7 @@ def circumstances() -> dict[str, object]:
     return {
         "machine": machine | {"sqlite": sqlite3.sqlite_version},
         "bar_bytes_per_state": BAR_BYTES_PER_STATE,
-        "commit": commit.stdout.strip() or None,
+        "commit": commit(),
     }
 
 
