@@ -19,9 +19,8 @@ import os
 import sys
 import tempfile
 import time
-from multiprocessing.synchronize import Event
+from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before numpy is imported
@@ -55,7 +54,6 @@ RATE_HZ = 20.0
 VIEWS_HZ = 5.0
 BLOCK = 20  # states of a track's second
 TRACKS = 30
-Results = multiprocessing.Queue  # of the name of a part and its numbers
 ARCHIVE = "archive"  # the sensor whose states are exported
 BAR_MS = 50.0
 START_S = 120.0  # for a process of readers to start, on a busy machine
@@ -86,10 +84,10 @@ def fill(folder: Path, rows: int) -> int:
     return seconds * BLOCK * TRACKS
 
 
-def run_readers(port: int, options: argparse.Namespace, results: Results, go: Event) -> None:
-    results.put(("ready", {}))
-    go.wait()
-    results.put(("readers", asyncio.run(_readers(port, options, options.seconds))))
+def run_readers(port: int, options: argparse.Namespace, line: Connection) -> None:
+    line.send(("ready", {}))
+    line.recv()
+    line.send(("readers", asyncio.run(_readers(port, options, options.seconds))))
 
 
 async def _readers(port: int, options: argparse.Namespace, seconds: float) -> dict[str, object]:
@@ -151,10 +149,10 @@ async def _poll(port: int, name: str, until_s: float) -> dict[str, object]:
     return {"delays_s": delays, "missed": 0}
 
 
-def run_export(port: int, options: argparse.Namespace, results: Results, go: Event) -> None:
-    results.put(("ready", {}))
-    go.wait()
-    results.put(("export", asyncio.run(_export(port, options.seconds))))
+def run_export(port: int, options: argparse.Namespace, line: Connection) -> None:
+    line.send(("ready", {}))
+    line.recv()
+    line.send(("export", asyncio.run(_export(port, options.seconds))))
 
 
 async def _export(port: int, seconds: float) -> dict[str, object]:
@@ -200,23 +198,23 @@ def phase(
     server: RealServer, options: argparse.Namespace, bodies: dict[str, list[bytes]], number: int
 ) -> dict[str, object]:
     """Run one of the three phases."""
-    results: Results = multiprocessing.Queue()
-    go = multiprocessing.Event()
-    given = server.port, options, results, go
-    beside = [multiprocessing.Process(target=run, args=given) for run in (run_readers, run_export)[:number]]
-    for process in beside:
-        process.start()
-    for _ in beside:
-        results.get(timeout=START_S)  # each is ready: importing takes seconds
-    go.set()
+    lines, beside = [], []
+    for run in (run_readers, run_export)[:number]:
+        ours, theirs = multiprocessing.Pipe()  # a queue needs shared memory, which not every machine has
+        beside.append(multiprocessing.Process(target=run, args=(server.port, options, theirs)))
+        lines.append(ours)
+        beside[-1].start()
+    for line in lines:
+        if not line.poll(START_S):  # importing takes seconds
+            raise RuntimeError("a reader did not start")
+        line.recv()
+    for line in lines:
+        line.send("go")
     begun_s, cpu_s = time.monotonic(), server.cpu_s()
     found = asyncio.run(post(server.port, bodies, 1 + 1_000_000 * (number + 1), options.seconds))
     cpu_s, spent_s = server.cpu_s() - cpu_s, time.monotonic() - begun_s
-    for _ in beside:
-        try:
-            name, result = results.get(timeout=options.seconds + 120)
-        except Empty:
-            name, result = "lost", {}
+    for line in lines:
+        name, result = line.recv() if line.poll(options.seconds + 120) else ("lost", {})
         found[name] = result
     for process in beside:
         process.join()
