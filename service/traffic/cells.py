@@ -10,14 +10,16 @@ Source: Edie, L. C., "Discussion of traffic stream measurements and definitions"
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from service.tracking.model import F64, U8
-from service.traffic.model import LaneMap
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, I64, U8
+from service.traffic.model import MOST_LANES, LaneMap
 from service.traffic.records import MINUTE_US
 from service.traffic.stitching import Joined
 
@@ -39,13 +41,14 @@ class Ruler:
 
     version: int
     lane: tuple[int, ...]  # indices
-    points_m: tuple[F64, ...]  # (P, 2) each
+    first: I64  # (L + 1,) first point of each lane
+    points_m: F64  # (P, 2) of all lanes
     cells: tuple[int, ...]
     length_m: tuple[float, ...]
     cell_m: float
 
 
-NO_RULER = Ruler(0, (), (), (), (), 0.0)
+NO_RULER = Ruler(0, (), np.zeros(1, dtype=np.int64), np.zeros((0, 2)), (), (), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,8 @@ def ruler_of(lanes: LaneMap, cell_m: float) -> Ruler:
     return Ruler(
         version=lanes.version,
         lane=tuple(lane.index for lane in lanes.lanes),
-        points_m=tuple(lane.points_m for lane in lanes.lanes),
+        first=np.cumsum([0, *(len(lane.points_m) for lane in lanes.lanes)]),
+        points_m=np.concatenate([np.zeros((0, 2)), *(lane.points_m for lane in lanes.lanes)]),
         cells=tuple(int(np.ceil(metres / cell_m)) for metres in length),
         length_m=length,
         cell_m=cell_m,
@@ -78,75 +82,108 @@ def drive(
     minutes: tuple[MinuteCells, ...], ruler: Ruler, joined: Joined, lane: U8, time_us: int
 ) -> tuple[MinuteCells, ...]:
     """Return the open minutes with the ways that ended in this scan; lane: (T,) of its tracks."""
-    rows = np.flatnonzero((joined.measured >= 0) & (joined.origin >= 0))
-    index = lane[joined.measured[rows]]
-    v = joined.vehicles
-    ways: list[tuple[int, float, float, int]] = []
-    for k, number in enumerate(ruler.lane):
-        mine = rows[index == number]
-        if len(mine):
-            begin = along(ruler.points_m[k], joined.from_x_m[mine], joined.from_y_m[mine])
-            end = along(ruler.points_m[k], v.x_m[mine], v.y_m[mine])
-            ways += [
-                (k, a, b, t)
-                for a, b, t in zip(begin.tolist(), end.tolist(), joined.from_us[mine].tolist(), strict=True)
-            ]
-    return _added(minutes, ruler, ways, time_us)
+    if not ruler.lane:
+        return minutes
+    place = np.full(MOST_LANES + 1, -1)  # of each lane in the ruler
+    place[list(ruler.lane)] = np.arange(len(ruler.lane))
+    known = joined.measured >= 0
+    if joined.origin is not None:
+        known &= joined.origin >= 0
+    rows = np.flatnonzero(known)
+    which = place[lane[joined.measured[rows]]]
+    order = np.argsort(which, kind="stable")
+    order = order[which[order] >= 0]
+    rows, which = rows[order], which[order]
+    x, y = joined.vehicles.real[:2].take(rows, axis=1)
+    begin, end = _along(
+        ruler.points_m, ruler.first, np.concatenate((which, which)),
+        np.concatenate((joined.from_x_m[rows], x)), np.concatenate((joined.from_y_m[rows], y)),
+    ).reshape(2, -1)  # fmt: skip
+    return _added(minutes, ruler, Ways(which, begin, end, joined.from_us[rows]), time_us)
+
+
+@dataclass(frozen=True, slots=True)
+class Ways:
+    """What N vehicles drove from one measurement to the next, by lane."""
+
+    lane: I64  # (N,) place in the ruler
+    begin_m: F64  # along the lane
+    end_m: F64
+    begin_us: I64
 
 
 def along(points_m: F64, x_m: F64, y_m: F64) -> F64:
     """Return (N,) how far along a polyline the foot of each point lies; its ends go on straight."""
-    step = np.diff(points_m, axis=0)
-    length = np.hypot(step[:, 0], step[:, 1])
-    start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
-    dx, dy = x_m[:, None] - points_m[:-1, 0], y_m[:, None] - points_m[:-1, 1]
-    place = (dx * step[:, 0] + dy * step[:, 1]) / length
-    inside = np.clip(place, 0.0, length)
-    away = np.hypot(dx - inside * step[:, 0] / length, dy - inside * step[:, 1] / length)
-    nearest = np.argmin(away, axis=1)
-    foot = np.take_along_axis(inside, nearest[:, None], axis=1)[:, 0]
-    open_place = np.take_along_axis(place, nearest[:, None], axis=1)[:, 0]
-    first, last = nearest == 0, nearest == len(length) - 1
-    foot = np.where(first & (open_place < 0) | last & (open_place > length[-1]), open_place, foot)
-    return np.asarray(start[nearest] + foot)
+    first, lane = np.array([0, len(points_m)]), np.zeros(len(x_m), dtype=np.int64)
+    return _along(
+        np.ascontiguousarray(points_m), first, lane, np.array(x_m, np.float64), np.array(y_m, np.float64)
+    )
+
+
+@kernel
+def _along(points: F64, first: I64, lane: I64, xs: F64, ys: F64) -> F64:
+    """Return how far along its lane the foot of each point lies."""
+    out = np.empty(len(lane))
+    for i in range(len(lane)):
+        x, y, begin, last = xs[i], ys[i], first[lane[i]], first[lane[i] + 1] - 1
+        nearest, start = np.inf, 0.0
+        for k in range(begin, last):
+            ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+            dx, dy = x - points[k, 0], y - points[k, 1]
+            length = math.hypot(ex, ey)
+            place = (dx * ex + dy * ey) / length
+            inside = min(max(place, 0.0), length)
+            away = math.hypot(dx - inside * ex / length, dy - inside * ey / length)
+            if away < nearest:
+                nearest = away
+                beyond = (k == begin and place < 0.0) or (k == last - 1 and place > length)
+                out[i] = start + (place if beyond else inside)
+            start += length
+    return out
 
 
 def _added(
-    minutes: tuple[MinuteCells, ...],
-    ruler: Ruler,
-    ways: list[tuple[int, float, float, int]],
-    time_us: int,
+    minutes: tuple[MinuteCells, ...], ruler: Ruler, ways: Ways, time_us: int
 ) -> tuple[MinuteCells, ...]:
-    if not ruler.lane:
-        return minutes
     minute = time_us // MINUTE_US
-    shape = (len(ruler.lane), max(ruler.cells, default=0))
+    begun = ways.begin_us // MINUTE_US
     open_minutes = {(part.minute, part.version): part for part in minutes}
-    for needed in {minute, *(way[3] // MINUTE_US for way in ways)}:
-        if (needed, ruler.version) not in open_minutes and needed > minute - OPEN_MINUTES:
-            blank = MinuteCells(
-                needed,
-                ruler.version,
-                ruler.lane,
-                ruler.length_m,
-                ruler.cell_m,
-                np.zeros(shape),
-                np.zeros(shape),
-            )
-            open_minutes[needed, ruler.version] = blank
-    fresh = {
-        key: replace(part, distance_m=part.distance_m.copy(), time_s=part.time_s.copy())
-        for key, part in open_minutes.items()
-        if key[1] == ruler.version
-    }
-    for lane, begin_m, end_m, begin_us in ways:
-        for cell, which, distance_m, seconds in _pieces(begin_m, end_m, begin_us, time_us, ruler.cell_m):
-            part = fresh.get((which, ruler.version))
-            if part is not None and 0 <= cell < ruler.cells[lane]:
-                part.distance_m[lane, cell] += distance_m
-                part.time_s[lane, cell] += seconds
-    merged = open_minutes | fresh
-    return tuple(merged[key] for key in sorted(merged))
+    needed = {minute} if not len(begun) or begun.min() == minute else {minute, *begun.tolist()}
+    for which in needed:
+        if (which, ruler.version) not in open_minutes and which > minute - OPEN_MINUTES:
+            open_minutes[which, ruler.version] = _blank(which, ruler)
+    first, last = ways.begin_m // ruler.cell_m, ways.end_m // ruler.cell_m
+    whole = (first == last) & (begun == minute)  # inside one cell and minute: nearly all
+    driven, spent = ways.end_m - ways.begin_m, (time_us - ways.begin_us) / 1e6
+    table = np.column_stack([ways.lane, first, begun, driven, spent])
+    if not whole.all():
+        table = np.concatenate([
+            table[i : i + 1] if whole[i] else _cut(ways, i, time_us, ruler.cell_m) for i in range(len(whole))
+        ])  # fmt: skip
+    lane, cell, which = table[:, :3].astype(np.int64).T
+    inside = (cell >= 0) & (cell < np.array(ruler.cells)[lane])
+    for key, part in open_minutes.items():
+        mine = inside & (which == key[0])
+        if key[1] == ruler.version and mine.any():
+            distance_m, time_s = part.distance_m.copy(), part.time_s.copy()
+            np.add.at(distance_m, (lane[mine], cell[mine]), table[mine, 3])
+            np.add.at(time_s, (lane[mine], cell[mine]), table[mine, 4])
+            open_minutes[key] = replace(part, distance_m=distance_m, time_s=time_s)
+    return tuple(open_minutes[key] for key in sorted(open_minutes))
+
+
+def _blank(minute: int, ruler: Ruler) -> MinuteCells:
+    """Return a minute in which nobody has driven yet."""
+    shape = (len(ruler.lane), max(ruler.cells, default=0))
+    return MinuteCells(
+        minute, ruler.version, ruler.lane, ruler.length_m, ruler.cell_m, np.zeros(shape), np.zeros(shape)
+    )
+
+
+def _cut(ways: Ways, i: int, time_us: int, cell_m: float) -> F64:
+    """Return the pieces (N, 5) of one way: lane, cell, minute, metres, seconds."""
+    ends = float(ways.begin_m[i]), float(ways.end_m[i]), int(ways.begin_us[i]), time_us
+    return np.array([(ways.lane[i], *piece) for piece in _pieces(*ends, cell_m)]).reshape(-1, 5)
 
 
 def _pieces(
@@ -156,9 +193,6 @@ def _pieces(
     first, last = int(begin_m // cell_m), int(end_m // cell_m)
     minute, last_minute = begin_us // MINUTE_US, end_us // MINUTE_US
     span_us, span_m = end_us - begin_us, end_m - begin_m
-    if first == last and minute == last_minute:
-        yield first, minute, span_m, span_us / 1e6
-        return
     cuts = {0.0, 1.0}
     low, high = sorted((first, last))
     cuts.update((edge * cell_m - begin_m) / span_m for edge in range(low + 1, high + 1) if span_m)

@@ -20,7 +20,7 @@ from service.traffic.count_parameters import CountParameters
 from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
 from service.traffic.crossings import LineStates, View, cross, no_line_states
 from service.traffic.line_placing import place_lines
-from service.traffic.lines import Line, lines_of
+from service.traffic.lines import Line
 from service.traffic.model import LaneMap, Moment
 from service.traffic.parameters import TrafficSetup
 from service.traffic.records import (
@@ -86,7 +86,7 @@ def count(
 ) -> tuple[CountState, Counts]:
     """Return the state after a frame or tick, and what has become certain."""
     p, now_us = setup.parameters.counting, moment.time_us
-    state = _with_lines(state, lines_of(setup.config.count_lines), lanes, p)
+    state = _with_lines(state, setup.lines, lanes, p)
     scan = scan_of(now_us, moment.frame, estimates)
     window = remember(state.window, scan, round(p.window_s * 1e6))
     joined = join(state.vehicles, scan, p)
@@ -98,9 +98,10 @@ def count(
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
     crossings, leaders = _followed(found, state, lanes, p)
     blocks, grown = _collected(state.blocks, crossings, now_us)
-    state = replace(
-        state, vehicles=joined.vehicles, states=states, window=window, leaders=leaders, blocks=blocks,
-        coverage=coverage, ruler=ruler, cells=cells, crossings=state.crossings + len(crossings),
+    state = CountState(
+        lines=state.lines, placed_on=state.placed_on, vehicles=joined.vehicles, states=states, window=window,
+        leaders=leaders, blocks=blocks, coverage=coverage, ruler=ruler, cells=cells,
+        crossings=state.crossings + len(crossings),
     )  # fmt: skip
     state, received, sums = _told(state, moment)
     return state, Counts(crossings, grown, received, sums)
@@ -121,7 +122,7 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
     if kept:
         return state
     lines = drawn or place_lines(lanes, p)
-    states = no_line_states(len(state.vehicles.number), len(lines))
+    states = no_line_states(len(state.vehicles), len(lines))
     return replace(state, lines=lines, placed_on=across, states=states, leaders=())
 
 
@@ -129,6 +130,8 @@ def _followed(
     found: Sequence[Crossing], state: CountState, lanes: LaneMap, p: CountParameters
 ) -> tuple[tuple[Crossing, ...], tuple[Leader, ...]]:
     """Return the crossings with number, map, headway and gap, and whom the next ones follow."""
+    if not found:
+        return (), state.leaders
     leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
     crossings = []
     for k, crossing in enumerate(found, start=state.crossings + 1):

@@ -8,7 +8,7 @@ inside an older track is its ghost and does not count.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from service.traffic.ghosts import is_ghost
 from service.traffic.lines import Line, sides
 from service.traffic.records import Crossing
 from service.traffic.stitching import Joined, Vehicles
-from service.traffic.window import Scan, samples_of
+from service.traffic.window import EXISTENCE, LENGTH, VX, VY, Past, Scan, X, Y, past_of, samples_of
 
 _FIT_LEAST = 4  # samples of a fit; fewer: the step over the line alone
 
@@ -72,35 +72,40 @@ class View:
 
 def cross(before: LineStates, joined: Joined, view: View) -> tuple[LineStates, tuple[Crossing, ...]]:
     """Return the states after a scan and the crossings that are certain now, by time."""
+    if not view.lines:
+        return no_line_states(len(joined.vehicles), 0), ()
     p, v = view.parameters, joined.vehicles
     states = _aligned(before, joined, view)
     seen = np.flatnonzero(joined.measured >= 0)
-    now, _ = sides(view.lines, v.x_m[seen], v.y_m[seen])
+    now, _ = sides(view.lines, v.real[X][seen], v.real[Y][seen])
     was, side = states.distance_m[seen], states.side[seen]
     pending = _follow(states.pending, joined)
-    known = ~np.isnan(was)
-    for i, line in np.argwhere(known & ((was >= 0) != (now >= 0))):
+    over = ((was >= 0) != (now >= 0)) & ~np.isnan(was)
+    for i, line in _places(over):
         row = int(seen[i])
-        pending = [x for x in pending if x.passed or (x.number, x.line) != (int(v.number[row]), int(line))]
+        number = int(v.number[row])
+        pending = [x for x in pending if x.passed or (x.number, x.line) != (number, line)]
         towards = 1 if now[i, line] >= 0 else -1
         if side[i, line] == -towards and not states.counted[row, line]:
-            step = _step_over(joined, row, int(line), was[i, line], now[i, line], view)
+            step = _step_over(joined, row, line, was[i, line], now[i, line], view)
             pending += [step] if step is not None else []
     far, sign = np.abs(now) >= p.travel_m, np.where(now >= 0, 1, -1)
-    for i, line in np.argwhere(far & (side == -sign)):
-        pending = [
-            replace(x, passed=True) if _is_on(x, int(v.number[seen[i]]), int(line), int(sign[i, line])) else x
-            for x in pending
-        ]
+    if pending:
+        for i, line in _places(far & (side == -sign)):
+            on = (int(v.number[seen[i]]), line, int(sign[i, line]))
+            pending = [
+                replace(x, passed=True) if (x.number, x.line, x.direction) == on else x for x in pending
+            ]
     states.distance_m[seen], states.side[seen] = now, np.where(far, sign, side)
-    for x in pending:
-        if x.passed:
-            states.counted[v.number == x.number, x.line] = True
+    if not pending:
+        return replace(states, pending=()), ()
     return _emit(states, joined, pending, view)
 
 
-def _is_on(pending: Pending, number: int, line: int, direction: int) -> bool:
-    return (pending.number, pending.line, pending.direction) == (number, line, direction)
+def _places(mask: Bool) -> Iterator[tuple[int, int]]:
+    """Yield row and column of each place that is set, row by row."""
+    rows, columns = np.nonzero(mask)
+    return zip(rows.tolist(), columns.tolist(), strict=True)
 
 
 def _aligned(before: LineStates, joined: Joined, view: View) -> LineStates:
@@ -108,8 +113,11 @@ def _aligned(before: LineStates, joined: Joined, view: View) -> LineStates:
 
     A new one has been followed since its birth, though not listed: it starts on the side where it was then.
     """
-    blank = no_line_states(len(joined.origin), len(view.lines))
-    if before.distance_m.shape[1] != len(view.lines):
+    known = before.distance_m.shape[1] == len(view.lines)
+    if joined.origin is None and known:
+        return LineStates(before.distance_m.copy(), before.side.copy(), before.counted.copy(), before.pending)
+    blank = no_line_states(len(joined.vehicles), len(view.lines))
+    if joined.origin is None or not known:
         return blank
     old = joined.origin >= 0
     for name in ("distance_m", "side", "counted"):
@@ -123,10 +131,13 @@ def _aligned(before: LineStates, joined: Joined, view: View) -> LineStates:
 
 def _follow(pending: tuple[Pending, ...], joined: Joined) -> list[Pending]:
     """Return what is pending of vehicles that are still known, carried over to their newest tracks."""
+    if joined.origin is None or not pending:
+        return list(pending)
     number, vehicle = joined.vehicles.number, joined.vehicles.vehicle
+    listed = set(number.tolist())
     kept = []
     for x in pending:
-        if np.any(number == x.number):
+        if x.number in listed:
             kept.append(x)
             continue
         heirs = number[vehicle == x.vehicle]
@@ -142,8 +153,8 @@ def _step_over(  # noqa: PLR0913, PLR0917 - one step, its two ends and what it i
 ) -> Pending | None:
     """Return the pending crossing of a step over a line, None when it passes beside its ends."""
     v, share = joined.vehicles, was / (was - now)
-    x = joined.from_x_m[row] + share * (v.x_m[row] - joined.from_x_m[row])
-    y = joined.from_y_m[row] + share * (v.y_m[row] - joined.from_y_m[row])
+    x = joined.from_x_m[row] + share * (v.real[X, row] - joined.from_x_m[row])
+    y = joined.from_y_m[row] + share * (v.real[Y, row] - joined.from_y_m[row])
     _, along = sides(view.lines[line : line + 1], np.array([x]), np.array([y]))
     edge = view.parameters.edge_m
     if not -edge <= along[0, 0] <= view.lines[line].length_m + edge:
@@ -169,43 +180,51 @@ def _emit(
 ) -> tuple[LineStates, tuple[Crossing, ...]]:
     """Return what stays pending, and the crossings that are behind their line, fitted and no ghost's."""
     p, v = view.parameters, joined.vehicles
+    rows = dict(zip(v.number.tolist(), range(len(v)), strict=True))
+    past: Past | None = None  # of all tracks: wanted in few frames
     kept, done = [], []
     for x in pending:
-        row = np.flatnonzero(v.number == x.number)
-        life_s = int((v.last_us - v.first_us)[row[0]]) / 1e6 if len(row) else None
-        if x.fitted is None and (life_s is None or view.time_us - x.time_us >= round(p.fit_s * 1e6)):
-            x = replace(x, fitted=_fit(x, view))  # noqa: PLW2901 - the same one, further on
-        if life_s is None or (x.passed and x.fitted is not None and life_s >= p.least_life_s):
-            if life_s is not None and x.fitted is not None and _is_real(x, x.fitted, v, view):
-                done.append(x.fitted)
-        else:
+        row = rows.get(x.number)
+        if row is None:
+            continue  # lost before it was certain
+        states.counted[row, x.line] |= x.passed
+        if x.fitted is None and view.time_us - x.time_us >= round(p.fit_s * 1e6):
+            past = past or past_of(view.window)
+            x = replace(x, fitted=_fit(x, past, view))  # noqa: PLW2901 - the same one, further on
+        life_s = int(v.last_us[row] - v.first_us[row]) / 1e6
+        if x.fitted is None or not x.passed or life_s < p.least_life_s:
             kept.append(x)
+        elif x.fitted.probability >= p.least_existence:
+            past = past or past_of(view.window)
+            if not is_ghost(past, x.number, _older(v, row, p), p):
+                done.append(x.fitted)
     done.sort(key=lambda crossing: (crossing.time_us, crossing.track))
     return replace(states, pending=tuple(kept)), tuple(done)
 
 
-def _is_real(x: Pending, fitted: Crossing, v: Vehicles, view: View) -> bool:
-    p = view.parameters
-    if fitted.probability < p.least_existence:
-        return False
-    row = int(np.flatnonzero(v.number == x.number)[0])
-    older = (v.track_us < v.track_us[row]) | (v.track_us == v.track_us[row]) & (v.number < x.number)
-    older &= np.hypot(v.x_m - v.x_m[row], v.y_m - v.y_m[row]) < 2 * p.ghost_along_m  # only these can be
-    return not is_ghost(view.window, x.number, v.number[older].tolist(), p)
+def _older(v: Vehicles, row: int, p: CountParameters) -> list[int]:
+    """Return the tracks of which this vehicle's may be the ghost: older ones that are near."""
+    track_us = v.track_us[row]
+    older = (v.track_us < track_us) | ((v.track_us == track_us) & (v.number < v.number[row]))
+    dx, dy = v.real[:2] - v.real[:2, row, None]
+    older &= np.hypot(dx, dy) < 2 * p.ghost_along_m
+    numbers: list[int] = v.number[older].tolist()
+    return numbers
 
 
-def _fit(x: Pending, view: View) -> Crossing:
+def _fit(x: Pending, past: Past, view: View) -> Crossing:
     """Return the crossing as the samples on both sides of the line have it."""
     p, line = view.parameters, view.lines[x.line]
-    samples = samples_of(view.window, x.pieces, x.time_us)
-    near = np.abs(samples.time_s) <= p.fit_s
+    samples = samples_of(past, x.pieces, x.time_us)
+    apart_s = np.abs(samples.time_s)
+    near = apart_s <= p.fit_s
     if np.count_nonzero(near) < _FIT_LEAST:
-        near = np.abs(samples.time_s) <= max(p.fit_s, float(np.sort(np.abs(samples.time_s))[:_FIT_LEAST][-1]))
-    time_s = samples.time_s[near]
-    distance, _ = sides([line], samples.x_m[near], samples.y_m[near])
+        near = apart_s <= max(p.fit_s, float(np.sort(apart_s)[:_FIT_LEAST][-1]))
+    time_s, real = samples.time_s[near], samples.real[:, near]
+    distance, _ = sides([line], real[X], real[Y])
     delay_s = _zero(time_s, distance[:, 0], x.direction)
-    speed = np.hypot(samples.vx_mps[near], samples.vy_mps[near])
-    nearest = int(np.argmin(np.abs(samples.time_s)))
+    speed = np.hypot(real[VX], real[VY])
+    nearest = int(np.argmin(apart_s))
     return Crossing(
         line_id=line.line_id,
         time_us=round(x.time_us / 1e3 + delay_s * 1e3) * 1000,  # to the millisecond, as it is told
@@ -217,8 +236,8 @@ def _fit(x: Pending, view: View) -> Crossing:
         x_m=x.x_m,
         y_m=x.y_m,
         speed_mps=max(float(_at_zero(time_s - delay_s, speed)), p.least_speed_mps),
-        length_m=float(samples.length_m[-1]),
-        probability=float(np.mean(samples.existence[near])),
+        length_m=float(samples.real[LENGTH, -1]),
+        probability=float(np.mean(real[EXISTENCE])),
     )
 
 

@@ -6,39 +6,42 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from service.tracking.model import F64
 from service.traffic.count_parameters import CountParameters
-from service.traffic.window import Scan
+from service.traffic.window import VX, VY, Past, X, Y
+
+_STANDING_MPS = 1e-3  # a slower pair has no direction
 
 
-def is_ghost(window: Sequence[Scan], number: int, older: Sequence[int], p: CountParameters) -> bool:
+def is_ghost(past: Past, number: int, older: Sequence[int], p: CountParameters) -> bool:
     """Return whether one of the older tracks was beside this one for most of its life in the window."""
-    mine = [(scan, i) for scan in window if (i := _place(scan, number)) >= 0]
-    if not mine:
+    if not older:
         return False
+    mine = np.flatnonzero(past.number == number)
+    at = np.full(len(past.time_us), -1, dtype=np.int64)  # place of this track's sample, by scan
+    at[past.scan[mine]] = mine
     for other in older:
-        pairs = [(scan, i, j) for scan, i in mine if (j := _place(scan, other)) >= 0]
-        if len(pairs) < max(p.ghost_share * len(mine), 1):
+        theirs = np.flatnonzero(past.number == other)
+        i = at[past.scan[theirs]]
+        both = i >= 0
+        i, j = i[both], theirs[both]
+        if len(i) < max(p.ghost_share * len(mine), 1):
             continue
-        along, across = _offsets(pairs)
+        along, across = _offsets(past.real.take(i, axis=1), past.real.take(j, axis=1))
         if along < p.ghost_along_m and across < p.ghost_across_m:
             return True
     return False
 
 
-def _offsets(pairs: Sequence[tuple[Scan, int, int]]) -> tuple[float, float]:
-    """Return the medians of how far two tracks are apart, along and across the way of the second."""
-    table = np.array(
-        [
-            (s.x_m[i] - s.x_m[j], s.y_m[i] - s.y_m[j], s.vx_mps[i] + s.vx_mps[j], s.vy_mps[i] + s.vy_mps[j])
-            for s, i, j in pairs
-        ]
-    )
-    dx, dy, vx, vy = table.T
-    speed = np.maximum(np.hypot(vx, vy), 1e-3)
+def _offsets(mine: F64, other: F64) -> tuple[float, float]:
+    """Return the medians of how far two tracks are apart, along and across the way of both."""
+    dx, dy, vx, vy = mine[X] - other[X], mine[Y] - other[Y], mine[VX] + other[VX], mine[VY] + other[VY]
+    speed = np.maximum(np.hypot(vx, vy), _STANDING_MPS)
     along, across = (dx * vx + dy * vy) / speed, (dx * vy - dy * vx) / speed
-    return float(np.median(np.abs(along))), float(np.median(np.abs(across)))
+    return _median(np.abs(along)), _median(np.abs(across))
 
 
-def _place(scan: Scan, number: int) -> int:
-    i = int(np.searchsorted(scan.number, number))
-    return i if i < len(scan.number) and scan.number[i] == number else -1
+def _median(values: F64) -> float:
+    """Return the median of finite values; numpy's own takes five times as long in checks."""
+    ordered = np.sort(values)
+    return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])

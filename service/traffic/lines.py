@@ -42,6 +42,6 @@ def sides(lines: Sequence[Line], x_m: F64, y_m: F64) -> tuple[F64, F64]:
     ends = np.array([(line.x0_m, line.y0_m, line.x1_m, line.y1_m) for line in lines]).reshape(-1, 4)
     along = ends[:, 2:] - ends[:, :2]
     length = np.hypot(along[:, 0], along[:, 1])
-    unit = along / length[:, None]
+    ux, uy = (along / length[:, None]).T
     dx, dy = x_m[:, None] - ends[:, 0], y_m[:, None] - ends[:, 1]
-    return unit[:, 0] * dy - unit[:, 1] * dx, unit[:, 0] * dx + unit[:, 1] * dy
+    return ux * dy - uy * dx, ux * dx + uy * dy

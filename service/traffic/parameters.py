@@ -18,6 +18,7 @@ from service.traffic.drift import DriftParameters
 from service.traffic.evidence import EvidenceParameters
 from service.traffic.identity import IdentityParameters
 from service.traffic.learning import LearningParameters
+from service.traffic.lines import Line, lines_of
 from service.traffic.mapping import Given, MappingParameters
 from service.traffic.motion_state import MotionParameters
 from service.traffic.paths import PathParameters
@@ -54,6 +55,7 @@ class TrafficSetup:
     parameters: TrafficParameters
     config: SensorConfig
     given: Given  # lanes of that configuration
+    lines: tuple[Line, ...]  # its count lines
 
     @property
     def travel_heading_rad(self) -> float | None:
@@ -73,4 +75,5 @@ def traffic_setup(config: SensorConfig) -> TrafficSetup:
                 )
             except InvalidInput as error:
                 raise InvalidInput.at(f"/{key}", error.errors[0].reason) from None
-    return TrafficSetup(parameters, config, given_lanes(config.lanes, parameters.identity))
+    given = given_lanes(config.lanes, parameters.identity)
+    return TrafficSetup(parameters, config, given, lines_of(config.count_lines))

@@ -7,40 +7,59 @@ velocities, which on an arc of a circle is the chord, so that no road needs to b
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from service.tracking.model import F64, I64, Bool
 from service.traffic.count_parameters import CountParameters
-from service.traffic.window import Scan
-
-Array = TypeVar("Array", F64, I64)
+from service.traffic.window import PLANE, VX, VY, Scan, X, Y
 
 _SLOW_MPS = 0.5  # below, the direction of a velocity means little and the axes of the cost are taken alike
+# rows of `whole`
+NUMBER, VEHICLE, FIRST_US, TRACK_US, LAST_US = range(5)
+_WHOLE_ROWS, _REAL_ROWS = 5, 4
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicles:
-    """The vehicles of the last seconds, (V,) each, by the number of their newest track."""
+    """The vehicles of the last seconds, V of them by the number of their newest track."""
 
-    number: I64  # of the track that carries the vehicle now
-    vehicle: I64  # of its first track: its name
-    first_us: I64  # when its first track was listed
-    track_us: I64  # when its newest track was listed
-    last_us: I64  # when it was measured last
-    hits: I64  # frames in which it was measured
-    x_m: F64  # there
-    y_m: F64
-    vx_mps: F64
-    vy_mps: F64
+    whole: I64  # (5, V), one row for each property below
+    real: F64  # (4, V) x_m, y_m, vx_mps, vy_mps where it was measured last
+
+    def __len__(self) -> int:
+        return self.whole.shape[1]
+
+    @property
+    def number(self) -> I64:
+        """Return the number of the track that carries the vehicle now."""
+        return self.whole[NUMBER]
+
+    @property
+    def vehicle(self) -> I64:
+        """Return the number of its first track: its name."""
+        return self.whole[VEHICLE]
+
+    @property
+    def first_us(self) -> I64:
+        """Return when its first track was listed."""
+        return self.whole[FIRST_US]
+
+    @property
+    def track_us(self) -> I64:
+        """Return when its newest track was listed."""
+        return self.whole[TRACK_US]
+
+    @property
+    def last_us(self) -> I64:
+        """Return when it was measured last."""
+        return self.whole[LAST_US]
 
     def take(self, index: I64 | Bool) -> Vehicles:
         """Return the vehicles at `index` (integers or a mask)."""
-        return Vehicles(*(getattr(self, item.name)[index] for item in dataclasses.fields(self)))
+        return Vehicles(self.whole[:, index], self.real[:, index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +67,7 @@ class Joined:
     """The vehicles after a scan, (V,), and where each comes from."""
 
     vehicles: Vehicles
-    origin: I64  # (V,) its place among those before, -1: new
+    origin: I64 | None  # (V,) its place among those before, -1: new; None: they are the same ones
     measured: I64  # (V,) its place in the scan, -1: not measured now
     from_us: I64  # (V,) its last measurement before; of a new one its birth, from where it is moved back
     from_x_m: F64
@@ -58,79 +77,82 @@ class Joined:
 
 def no_vehicles() -> Vehicles:
     """Return the state before the first scan."""
-    i, f = np.zeros(0, dtype=np.int64), np.zeros(0)
-    return Vehicles(i, i, i, i, i, i, f, f, f, f)
+    return Vehicles(np.zeros((_WHOLE_ROWS, 0), dtype=np.int64), np.zeros((_REAL_ROWS, 0)))
 
 
 def join(before: Vehicles, scan: Scan, p: CountParameters) -> Joined:
     """Return the vehicles after a scan: pieces joined, those lost for longer than a gap forgotten."""
     gap_us = round(p.stitch_gap_s * 1e6)
     place = _find(scan.number, before.number)  # of each vehicle in the scan
-    known = np.isin(scan.number, before.number)
-    takes = _takes(before, np.flatnonzero(place < 0), scan, np.flatnonzero(~known), p)
+    starts = np.flatnonzero(_find(before.number, scan.number) < 0)
+    stay = (place >= 0) | (scan.time_us - before.last_us <= gap_us)
+    if not len(starts) and stay.all():
+        return _same(before, scan, place)
+    takes = _takes(before, np.flatnonzero(place < 0), scan, starts, p)
     for start, end in takes:
         place[end] = start
-    fresh = np.setdiff1d(np.flatnonzero(~known), [start for start, _ in takes])
-    stay = (place >= 0) | (scan.time_us - before.last_us <= gap_us)
+        stay[end] = True
+    fresh = np.setdiff1d(starts, [start for start, _ in takes])
     origin = np.concatenate([np.flatnonzero(stay), np.full(len(fresh), -1)])
     measured = np.concatenate([place[stay], fresh])
     number = np.where(measured >= 0, scan.number[measured] if len(scan.number) else 0, 0)
-    number = np.where(measured >= 0, number, before.number[origin] if len(before.number) else 0)
+    number = np.where(measured >= 0, number, before.number[origin] if len(before) else 0)
     order = np.argsort(number, kind="stable")
     origin, measured, number = origin[order], measured[order], number[order]
     return _joined(before, scan, origin, measured, number)
 
 
+def _same(before: Vehicles, scan: Scan, measured: I64) -> Joined:
+    """Return the vehicles of before, carried on by the same tracks."""
+    seen = measured >= 0
+    whole = before.whole.copy()
+    whole[LAST_US][seen] = scan.time_us
+    real = _newest(scan, measured, seen, before.real)
+    return Joined(
+        Vehicles(whole, real), None, measured, before.last_us, before.real[X], before.real[Y], before.number
+    )
+
+
 def _joined(before: Vehicles, scan: Scan, origin: I64, measured: I64, number: I64) -> Joined:
     new, seen = origin < 0, measured >= 0
-    old = _columns(before, origin)
-    last_us = np.where(seen, scan.time_us, old.last_us)
-    changed = number != old.number
-    vehicles = Vehicles(
-        number=number,
-        vehicle=np.where(new, number, old.vehicle),
-        first_us=np.where(new, scan.time_us, old.first_us),
-        track_us=np.where(new | changed, scan.time_us, old.track_us),
-        last_us=last_us,
-        hits=old.hits * ~new + seen,
-        x_m=_newest(scan.x_m, measured, old.x_m),
-        y_m=_newest(scan.y_m, measured, old.y_m),
-        vx_mps=_newest(scan.vx_mps, measured, old.vx_mps),
-        vy_mps=_newest(scan.vy_mps, measured, old.vy_mps),
+    # what stands at -1 means nothing
+    blank = Vehicles(
+        np.zeros((_WHOLE_ROWS, len(origin)), dtype=np.int64), np.zeros((_REAL_ROWS, len(origin)))
     )
-    age_us = scan.time_us - _newest(scan.born_us, measured, vehicles.track_us)
+    old = before.take(origin) if len(before) else blank
+    whole = old.whole.copy()
+    whole[NUMBER] = number
+    whole[VEHICLE][new] = number[new]
+    whole[FIRST_US][new] = scan.time_us
+    whole[TRACK_US][new | (number != old.number)] = scan.time_us
+    whole[LAST_US][seen] = scan.time_us
+    real = _newest(scan, measured, seen, old.real)
+    born_us = np.where(seen, scan.born_us[measured], whole[TRACK_US]) if len(scan.number) else whole[TRACK_US]
+    age_us = scan.time_us - born_us
     return Joined(
-        vehicles=vehicles,
+        vehicles=Vehicles(whole, real),
         origin=origin,
         measured=measured,
         from_us=np.where(new, scan.time_us - age_us, old.last_us),
-        from_x_m=np.where(new, vehicles.x_m - vehicles.vx_mps * age_us / 1e6, old.x_m),
-        from_y_m=np.where(new, vehicles.y_m - vehicles.vy_mps * age_us / 1e6, old.y_m),
+        from_x_m=np.where(new, real[X] - real[VX] * age_us / 1e6, old.real[X]),
+        from_y_m=np.where(new, real[Y] - real[VY] * age_us / 1e6, old.real[Y]),
         from_number=np.where(new, number, old.number),
     )
 
 
-def _columns(before: Vehicles, origin: I64) -> Vehicles:
-    """Return the vehicles at `origin`; what stands at -1 means nothing."""
-    if len(before.number):
-        return before.take(origin)
-    blank = no_vehicles()
-    return Vehicles(
-        *(np.zeros(len(origin), dtype=getattr(blank, item.name).dtype) for item in dataclasses.fields(blank))
-    )
-
-
-def _newest(column: Array, measured: I64, old: Array) -> Array:
-    return np.where(measured >= 0, column[measured], old) if len(column) else old
+def _newest(scan: Scan, measured: I64, seen: Bool, old: F64) -> F64:
+    """Return places and velocities (4, V): those of the scan where a vehicle is in it."""
+    return np.where(seen, scan.real[PLANE][:, measured], old) if len(scan.number) else old
 
 
 def _find(numbers: I64, wanted: I64) -> I64:
     """Return where each wanted number stands in the ascending `numbers`, -1 where it does not."""
-    where = np.searchsorted(numbers, wanted)
-    where[where == len(numbers)] = 0
     if not len(numbers):
         return np.full(len(wanted), -1)
-    return np.where(numbers[where] == wanted, where, -1)
+    where = numbers.searchsorted(wanted)
+    where[where == len(numbers)] = 0
+    where[numbers[where] != wanted] = -1
+    return where
 
 
 def _takes(
@@ -151,18 +173,18 @@ def _takes(
 def stitch_cost(ends: Vehicles, scan: Scan, starts: I64, p: CountParameters) -> F64:
     """Return (starts, ends) how badly each start goes on with each end; infinite where it cannot."""
     gap_s = (scan.time_us - ends.last_us) / 1e6
-    vx, vy = scan.vx_mps[starts][:, None], scan.vy_mps[starts][:, None]
-    mean_x, mean_y = (vx + ends.vx_mps) / 2, (vy + ends.vy_mps) / 2
-    off_x = scan.x_m[starts][:, None] - ends.x_m - mean_x * gap_s
-    off_y = scan.y_m[starts][:, None] - ends.y_m - mean_y * gap_s
+    x, y, vx, vy = scan.real[PLANE][:, starts, None]
+    end_x, end_y, end_vx, end_vy = ends.real
+    mean_x, mean_y = (vx + end_vx) / 2, (vy + end_vy) / 2
+    off_x, off_y = x - end_x - mean_x * gap_s, y - end_y - mean_y * gap_s
     speed = np.hypot(mean_x, mean_y)
     unit_x, unit_y = mean_x / np.maximum(speed, _SLOW_MPS), mean_y / np.maximum(speed, _SLOW_MPS)
     along = off_x * unit_x + off_y * unit_y
     across = np.sqrt(np.maximum(off_x**2 + off_y**2 - along**2, 0.0))
-    apart = np.hypot(vx - ends.vx_mps, vy - ends.vy_mps)
+    apart = np.hypot(vx - end_vx, vy - end_vy)
     cost = (along / (p.stitch_along_m + p.stitch_along_mps * gap_s)) ** 2
     cost += (across / (p.stitch_across_m + p.stitch_across_mps * gap_s)) ** 2
     cost += (apart / p.stitch_speed_mps) ** 2
-    opposite = vx * ends.vx_mps + vy * ends.vy_mps < -(_SLOW_MPS**2)
+    opposite = vx * end_vx + vy * end_vy < -(_SLOW_MPS**2)
     cost[opposite | (gap_s > p.stitch_gap_s) | (gap_s <= 0)] = np.inf
     return np.asarray(cost)

@@ -8,6 +8,11 @@ import numpy as np
 
 from service.tracking.model import F64, I64, U8, TrackEstimates, TrackStatus
 
+_CONFIRMED = int(TrackStatus.CONFIRMED)
+# rows of `real`
+X, Y, VX, VY, LENGTH, EXISTENCE = range(6)
+PLANE = slice(X, LENGTH)  # place and velocity
+
 
 @dataclass(frozen=True, slots=True)
 class Scan:
@@ -16,14 +21,21 @@ class Scan:
     time_us: int
     frame: int  # its number
     number: I64
-    x_m: F64
-    y_m: F64
-    vx_mps: F64
-    vy_mps: F64
-    length_m: F64  # NaN: not known yet
-    existence: F64
+    real: F64  # (6, T): x_m, y_m, vx_mps, vy_mps, length_m (NaN: not known yet), existence
     lane: U8  # index of the lane, 0: none
     born_us: I64  # when its first point was seen, long before it was certain enough to be listed
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """All samples of a window as one table, N of them by time, then number."""
+
+    scan: I64  # (N,) place of the sample's scan in the window
+    number: I64  # (N,)
+    real: F64  # (6, N) as in Scan
+    lane: U8  # (N,)
+    time_us: I64  # (S,) of the scans
+    frame: I64  # (S,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +43,21 @@ class Samples:
     """The N samples of some tracks by time, (N,) each; time in seconds after a given moment."""
 
     time_s: F64
-    x_m: F64
-    y_m: F64
-    vx_mps: F64
-    vy_mps: F64
-    length_m: F64
-    existence: F64
+    real: F64  # (6, N) as in Scan
     lane: U8
     frame: I64
 
 
-_COLUMNS = ("x_m", "y_m", "vx_mps", "vy_mps", "length_m", "existence")
-
-
 def scan_of(time_us: int, frame: int, estimates: TrackEstimates) -> Scan:
     """Return the tracks that had a measurement in this frame; where others coast to is only a guess."""
-    measured = estimates.status == TrackStatus.CONFIRMED
-    columns = {name: getattr(estimates, name)[measured].astype(np.float64) for name in _COLUMNS}
-    lane, born_us = estimates.lane[measured], estimates.born_us[measured]
-    return Scan(time_us, frame, estimates.number[measured], **columns, lane=lane, born_us=born_us)
+    e = estimates
+    columns = (e.x_m, e.y_m, e.vx_mps, e.vy_mps, e.length_m, e.existence)
+    real = np.array(columns, dtype=np.float64)
+    measured = e.status == _CONFIRMED
+    if measured.all():
+        return Scan(time_us, frame, e.number, real, e.lane, e.born_us)
+    which = np.flatnonzero(measured)
+    return Scan(time_us, frame, e.number[which], real.take(which, axis=1), e.lane[which], e.born_us[which])
 
 
 def remember(window: tuple[Scan, ...], scan: Scan, window_us: int) -> tuple[Scan, ...]:
@@ -61,15 +69,25 @@ def remember(window: tuple[Scan, ...], scan: Scan, window_us: int) -> tuple[Scan
     return (*window[first:], scan)
 
 
-def samples_of(window: tuple[Scan, ...], numbers: tuple[int, ...], since_us: int) -> Samples:
-    """Return all samples in the window of the pieces of one vehicle; times are relative to `since_us`."""
-    found = []
-    for scan in window:
-        for number in numbers:
-            i = int(np.searchsorted(scan.number, number))
-            if i < len(scan.number) and scan.number[i] == number:
-                row = [getattr(scan, name)[i] for name in _COLUMNS]
-                found.append(((scan.time_us - since_us) / 1e6, *row, scan.lane[i], scan.frame))
-    table = np.array(found, dtype=np.float64).reshape(-1, 3 + len(_COLUMNS)).T
-    lane, frame = table[-2].astype(np.uint8), table[-1].astype(np.int64)
-    return Samples(table[0], **dict(zip(_COLUMNS, table[1:-2], strict=True)), lane=lane, frame=frame)
+def past_of(window: tuple[Scan, ...]) -> Past:
+    """Return the scans of a window as one table."""
+    counts = np.array([len(scan.number) for scan in window], dtype=np.int64)
+    return Past(
+        scan=np.repeat(np.arange(len(window)), counts),
+        number=np.concatenate([scan.number for scan in window]),
+        real=np.concatenate([scan.real for scan in window], axis=1),
+        lane=np.concatenate([scan.lane for scan in window]),
+        time_us=np.array([scan.time_us for scan in window], dtype=np.int64),
+        frame=np.array([scan.frame for scan in window], dtype=np.int64),
+    )
+
+
+def samples_of(past: Past, numbers: tuple[int, ...], since_us: int) -> Samples:
+    """Return all samples of the pieces of one vehicle; times are relative to `since_us`."""
+    mine = past.number == numbers[0]
+    for number in numbers[1:]:
+        mine |= past.number == number
+    which = np.flatnonzero(mine)
+    scan = past.scan[which]
+    time_s = (past.time_us[scan] - since_us) / 1e6
+    return Samples(time_s, past.real.take(which, axis=1), past.lane[which], past.frame[scan])
