@@ -30,6 +30,8 @@ from service.traffic.vehicles import (
     Vehicles,
 )
 
+_CONFIRMED = int(TrackStatus.CONFIRMED)
+
 
 @dataclass(frozen=True, slots=True)
 class AssignmentParameters:
@@ -98,18 +100,16 @@ def assign(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
 
     Where a track merely coasts its lane stays: nobody saw where it drives.
     """
-    seen = np.flatnonzero((now.status == TrackStatus.CONFIRMED) & (not moment.tick))
+    seen = np.flatnonzero((now.status == _CONFIRMED) & (not moment.tick))
+    changes: tuple[LaneChange, ...] = ()
     if len(seen) and len(chart.index):
-        f = np.float64
-        rows = (
-            now.x_m[seen].astype(f), now.y_m[seen].astype(f), now.heading_rad[seen].astype(f),
-            across_std_m(now)[seen].astype(f),
-        )  # fmt: skip
-        time = np.full(len(seen), moment.time_us, dtype=np.int64)
-        _, whole, real = _judged(vehicles, seen, time, rows, chart, p)
-        speed = np.hypot(now.vx_mps[seen], now.vy_mps[seen])
-        return vehicles.whole[:, LANE].astype(np.uint8), _changes(vehicles, whole, real, speed, version)
-    return vehicles.whole[:, LANE].astype(np.uint8), ()
+        columns = (now.x_m, now.y_m, now.heading_rad, across_std_m(now))
+        x, y, heading, std = np.array(columns, dtype=np.float64).take(seen, axis=1)
+        time = np.full(len(seen), moment.time_us)
+        _, whole, real = _judged(vehicles, seen, time, (x, y, heading, std), chart, p)
+        if len(whole):
+            changes = _changes(vehicles, whole, real, np.hypot(now.vx_mps[seen], now.vy_mps[seen]), version)
+    return vehicles.whole[:, LANE].astype(np.uint8), changes
 
 
 def retrace(

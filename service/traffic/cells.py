@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64, U8
 from service.traffic.model import MOST_LANES, LaneMap
 from service.traffic.records import MINUTE_US
@@ -91,85 +91,104 @@ def drive(
         known &= joined.origin >= 0
     rows = np.flatnonzero(known)
     which = place[lane[joined.measured[rows]]]
-    order = np.argsort(which, kind="stable")
-    order = order[which[order] >= 0]
-    rows, which = rows[order], which[order]
     x, y = joined.vehicles.real[:2].take(rows, axis=1)
-    begin, end = _along(
-        ruler.points_m, ruler.first, np.concatenate((which, which)),
-        np.concatenate((joined.from_x_m[rows], x)), np.concatenate((joined.from_y_m[rows], y)),
-    ).reshape(2, -1)  # fmt: skip
-    return _added(minutes, ruler, Ways(which, begin, end, joined.from_us[rows]), time_us)
-
-
-@dataclass(frozen=True, slots=True)
-class Ways:
-    """What N vehicles drove from one measurement to the next, by lane."""
-
-    lane: I64  # (N,) place in the ruler
-    begin_m: F64  # along the lane
-    end_m: F64
-    begin_us: I64
+    from_x, from_y, from_us = joined.from_x_m[rows], joined.from_y_m[rows], joined.from_us[rows]
+    now = time_us // MINUTE_US
+    parts = _opened(minutes, ruler, now, from_us[which >= 0])
+    current = parts[now, ruler.version] = _own(parts[now, ruler.version])
+    ways, cut = _drive(
+        ruler.points_m, ruler.first, np.array(ruler.cells), which, from_x, from_y, x, y, from_us, time_us,
+        MINUTE_US, ruler.cell_m, current.distance_m, current.time_s,
+    )  # fmt: skip
+    if len(cut):
+        own = {now}
+        for k in cut.tolist():
+            ends = (float(ways[0, k]), float(ways[1, k]), int(from_us[k]), time_us)
+            for cell, minute, metres, seconds in _pieces(*ends, ruler.cell_m):
+                key = (minute, ruler.version)
+                if key not in parts or not 0 <= cell < ruler.cells[which[k]]:
+                    continue
+                if minute not in own:
+                    parts[key] = _own(parts[key])
+                    own.add(minute)
+                parts[key].distance_m[which[k], cell] += metres
+                parts[key].time_s[which[k], cell] += seconds
+    return tuple(parts[key] for key in sorted(parts))
 
 
 def along(points_m: F64, x_m: F64, y_m: F64) -> F64:
     """Return (N,) how far along a polyline the foot of each point lies; its ends go on straight."""
-    first, lane = np.array([0, len(points_m)]), np.zeros(len(x_m), dtype=np.int64)
-    return _along(
-        np.ascontiguousarray(points_m), first, lane, np.array(x_m, np.float64), np.array(y_m, np.float64)
-    )
+    points, (x, y) = np.ascontiguousarray(points_m), np.array((x_m, y_m), dtype=np.float64)
+    lane, nothing = np.zeros(len(x), dtype=np.int64), np.zeros((1, 0))
+    first, cells = np.array([0, len(points)]), np.zeros(1, dtype=np.int64)
+    ways, _ = _drive(points, first, cells, lane, x, y, x, y, lane, 0, MINUTE_US, 1.0, nothing, nothing)
+    return np.asarray(ways[0])
 
 
-@kernel
-def _along(points: F64, first: I64, lane: I64, xs: F64, ys: F64) -> F64:
-    """Return how far along its lane the foot of each point lies."""
-    out = np.empty(len(lane))
-    for i in range(len(lane)):
-        x, y, begin, last = xs[i], ys[i], first[lane[i]], first[lane[i] + 1] - 1
-        nearest, start = np.inf, 0.0
-        for k in range(begin, last):
-            ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
-            dx, dy = x - points[k, 0], y - points[k, 1]
-            length = math.hypot(ex, ey)
-            place = (dx * ex + dy * ey) / length
-            inside = min(max(place, 0.0), length)
-            away = math.hypot(dx - inside * ex / length, dy - inside * ey / length)
-            if away < nearest:
-                nearest = away
-                beyond = (k == begin and place < 0.0) or (k == last - 1 and place > length)
-                out[i] = start + (place if beyond else inside)
-            start += length
+@part
+def _place(points: F64, begin: int, last: int, x: float, y: float) -> float:
+    """Return how far along the points begin..last the foot of a place lies."""
+    best, where, start, before = np.inf, begin, 0.0, 0.0
+    for k in range(begin, last):
+        ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+        dx, dy = x - points[k, 0], y - points[k, 1]
+        square = ex * ex + ey * ey
+        share = min(max((dx * ex + dy * ey) / square, 0.0), 1.0)
+        away = (dx - share * ex) ** 2 + (dy - share * ey) ** 2
+        if away < best:
+            best, where, start = away, k, before
+        before += math.sqrt(square)
+    ex, ey = points[where + 1, 0] - points[where, 0], points[where + 1, 1] - points[where, 1]
+    length = math.sqrt(ex * ex + ey * ey)
+    place = ((x - points[where, 0]) * ex + (y - points[where, 1]) * ey) / length
+    beyond = (where == begin and place < 0.0) or (where == last - 1 and place > length)
+    out: float = start + (place if beyond else min(max(place, 0.0), length))
     return out
 
 
-def _added(
-    minutes: tuple[MinuteCells, ...], ruler: Ruler, ways: Ways, time_us: int
-) -> tuple[MinuteCells, ...]:
-    minute = time_us // MINUTE_US
-    begun = ways.begin_us // MINUTE_US
-    open_minutes = {(part.minute, part.version): part for part in minutes}
-    needed = {minute} if not len(begun) or begun.min() == minute else {minute, *begun.tolist()}
-    for which in needed:
-        if (which, ruler.version) not in open_minutes and which > minute - OPEN_MINUTES:
-            open_minutes[which, ruler.version] = _blank(which, ruler)
-    first, last = ways.begin_m // ruler.cell_m, ways.end_m // ruler.cell_m
-    whole = (first == last) & (begun == minute)  # inside one cell and minute: nearly all
-    driven, spent = ways.end_m - ways.begin_m, (time_us - ways.begin_us) / 1e6
-    table = np.column_stack([ways.lane, first, begun, driven, spent])
-    if not whole.all():
-        table = np.concatenate([
-            table[i : i + 1] if whole[i] else _cut(ways, i, time_us, ruler.cell_m) for i in range(len(whole))
-        ])  # fmt: skip
-    lane, cell, which = table[:, :3].astype(np.int64).T
-    inside = (cell >= 0) & (cell < np.array(ruler.cells)[lane])
-    for key, part in open_minutes.items():
-        mine = inside & (which == key[0])
-        if key[1] == ruler.version and mine.any():
-            distance_m, time_s = part.distance_m.copy(), part.time_s.copy()
-            np.add.at(distance_m, (lane[mine], cell[mine]), table[mine, 3])
-            np.add.at(time_s, (lane[mine], cell[mine]), table[mine, 4])
-            open_minutes[key] = replace(part, distance_m=distance_m, time_s=time_s)
-    return tuple(open_minutes[key] for key in sorted(open_minutes))
+@kernel
+def _drive(  # noqa: PLR0913, PLR0917 - one pass over the ways; arrays are its language
+    points: F64, first: I64, cells: I64, lane: I64, from_x: F64, from_y: F64, x: F64, y: F64, from_us: I64,
+    time_us: int, minute_us: int, cell_m: float, distance_m: F64, time_s: F64,
+) -> tuple[F64, I64]:  # fmt: skip
+    """Add the ways (N,) that stay in one cell and the running minute; return all, and which are not added.
+
+    lane: places in the ruler, -1 for none.  Returned (2, N): where each begins and ends along its lane.
+    """
+    n = len(lane)
+    ways, cut, count = np.zeros((2, n)), np.empty(n, np.int64), 0
+    for i in range(n):
+        k = lane[i]
+        if k < 0:
+            continue
+        begin = _place(points, first[k], first[k + 1] - 1, from_x[i], from_y[i])
+        end = _place(points, first[k], first[k + 1] - 1, x[i], y[i])
+        ways[0, i], ways[1, i] = begin, end
+        cell = math.floor(begin / cell_m)
+        if cell != math.floor(end / cell_m) or from_us[i] // minute_us != time_us // minute_us:
+            cut[count] = i
+            count += 1
+        elif 0 <= cell < cells[k]:
+            distance_m[k, cell] += end - begin
+            time_s[k, cell] += (time_us - from_us[i]) / 1e6
+    return ways, cut[:count]
+
+
+def _opened(
+    minutes: tuple[MinuteCells, ...], ruler: Ruler, now: int, from_us: I64
+) -> dict[tuple[int, int], MinuteCells]:
+    """Return the open minutes by minute and map, with those in which the ways lie."""
+    parts = {(one.minute, one.version): one for one in minutes}
+    begun = from_us.min(initial=now * MINUTE_US) // MINUTE_US
+    for minute in {now} if begun == now else {now, *(from_us // MINUTE_US).tolist()}:
+        if (minute, ruler.version) not in parts and minute > now - OPEN_MINUTES:
+            parts[minute, ruler.version] = _blank(minute, ruler)
+    return parts
+
+
+def _own(minute: MinuteCells) -> MinuteCells:
+    """Return a minute in arrays of its own."""
+    return replace(minute, distance_m=minute.distance_m.copy(), time_s=minute.time_s.copy())
 
 
 def _blank(minute: int, ruler: Ruler) -> MinuteCells:
@@ -178,12 +197,6 @@ def _blank(minute: int, ruler: Ruler) -> MinuteCells:
     return MinuteCells(
         minute, ruler.version, ruler.lane, ruler.length_m, ruler.cell_m, np.zeros(shape), np.zeros(shape)
     )
-
-
-def _cut(ways: Ways, i: int, time_us: int, cell_m: float) -> F64:
-    """Return the pieces (N, 5) of one way: lane, cell, minute, metres, seconds."""
-    ends = float(ways.begin_m[i]), float(ways.end_m[i]), int(ways.begin_us[i]), time_us
-    return np.array([(ways.lane[i], *piece) for piece in _pieces(*ends, cell_m)]).reshape(-1, 5)
 
 
 def _pieces(

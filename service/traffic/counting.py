@@ -156,6 +156,8 @@ def _collected(
     blocks: tuple[MinuteBlock, ...], crossings: Sequence[Crossing], now_us: int
 ) -> tuple[tuple[MinuteBlock, ...], tuple[MinuteBlock, ...]]:
     """Return the blocks that stay open, and those that have grown."""
+    if not crossings:
+        return tuple(x for x in blocks if now_us - x.minute * MINUTE_US < OPEN_US), ()
     opened = {(x.line_id, x.minute): x for x in blocks if now_us - x.minute * MINUTE_US < OPEN_US}
     grown: dict[tuple[str, int], MinuteBlock] = {}
     for crossing in crossings:

@@ -8,15 +8,18 @@ inside an older track is its ghost and does not count.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.tracking.model import F64, I64, Bool
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, I64, U8, Bool
 from service.traffic.count_parameters import CountParameters
 from service.traffic.ghosts import is_ghost
-from service.traffic.lines import Line, sides
+from service.traffic.lines import Line, directions, sides
 from service.traffic.records import Crossing
 from service.traffic.stitching import Joined, Vehicles
 from service.traffic.window import EXISTENCE, LENGTH, VX, VY, Past, Scan, X, Y, past_of, samples_of
@@ -72,57 +75,82 @@ class View:
 
 def cross(before: LineStates, joined: Joined, view: View) -> tuple[LineStates, tuple[Crossing, ...]]:
     """Return the states after a scan and the crossings that are certain now, by time."""
-    if not view.lines:
-        return no_line_states(len(joined.vehicles), 0), ()
     p, v = view.parameters, joined.vehicles
-    states = _aligned(before, joined, view)
-    seen = np.flatnonzero(joined.measured >= 0)
-    now, _ = sides(view.lines, v.real[X][seen], v.real[Y][seen])
-    was, side = states.distance_m[seen], states.side[seen]
-    pending = _follow(states.pending, joined)
-    over = ((was >= 0) != (now >= 0)) & ~np.isnan(was)
-    for i, line in _places(over):
-        row = int(seen[i])
+    if not view.lines or not len(v):
+        return no_line_states(len(v), len(view.lines)), ()
+    was = _aligned(before, joined, view)
+    distance_m, side, events = _stand(
+        was.distance_m, was.side, joined.measured, v.real, directions(view.lines), p.travel_m
+    )
+    states = LineStates(distance_m, side, was.counted, ())
+    pending = _follow(was.pending, joined)
+    for row, line in _places(events & _OVER):
         number = int(v.number[row])
         pending = [x for x in pending if x.passed or (x.number, x.line) != (number, line)]
-        towards = 1 if now[i, line] >= 0 else -1
-        if side[i, line] == -towards and not states.counted[row, line]:
-            step = _step_over(joined, row, line, was[i, line], now[i, line], view)
+        now = distance_m[row, line]
+        if was.side[row, line] == (-1 if now >= 0 else 1) and not was.counted[row, line]:
+            step = _step_over(joined, row, line, was.distance_m[row, line], now, view)
             pending += [step] if step is not None else []
-    far, sign = np.abs(now) >= p.travel_m, np.where(now >= 0, 1, -1)
-    if pending:
-        for i, line in _places(far & (side == -sign)):
-            on = (int(v.number[seen[i]]), line, int(sign[i, line]))
-            pending = [
-                replace(x, passed=True) if (x.number, x.line, x.direction) == on else x for x in pending
-            ]
-    states.distance_m[seen], states.side[seen] = now, np.where(far, sign, side)
     if not pending:
-        return replace(states, pending=()), ()
+        return states, ()
+    for row, line in _places(events & _BEHIND):
+        on = (int(v.number[row]), line, int(side[row, line]))
+        pending = [replace(x, passed=True) if (x.number, x.line, x.direction) == on else x for x in pending]
     return _emit(states, joined, pending, view)
 
 
-def _places(mask: Bool) -> Iterator[tuple[int, int]]:
-    """Yield row and column of each place that is set, row by row."""
-    rows, columns = np.nonzero(mask)
+_OVER, _BEHIND = 1, 2  # bits of what happened to a vehicle at a line
+
+
+@kernel
+def _stand(  # noqa: PLR0913, PLR0917 - one pass over vehicles and lines
+    was_m: F64, was_side: I64, measured: I64, real: F64, lines: F64, travel_m: float
+) -> tuple[F64, I64, U8]:
+    """Return (V, L) distances, sides and events of the vehicles that were measured; others stay as they were.
+
+    real (4, V) as in `Vehicles`, lines (4, L) as `directions` gives them.
+    """
+    distance_m, side = was_m.copy(), was_side.copy()
+    events = np.zeros(side.shape, np.uint8)
+    for i in range(len(measured)):
+        if measured[i] < 0:
+            continue
+        for k in range(side.shape[1]):
+            dx, dy = real[0, i] - lines[0, k], real[1, i] - lines[1, k]
+            now = lines[2, k] * dy - lines[3, k] * dx
+            here = 1 if now >= 0.0 else -1
+            if not math.isnan(was_m[i, k]) and (was_m[i, k] >= 0.0) != (now >= 0.0):
+                events[i, k] |= _OVER
+            if abs(now) >= travel_m:
+                if was_side[i, k] == -here:
+                    events[i, k] |= _BEHIND
+                side[i, k] = here
+            distance_m[i, k] = now
+    return distance_m, side, events
+
+
+def _places(events: NDArray[np.integer]) -> Iterator[tuple[int, int]]:
+    """Yield row and column of each place that is not zero, row by row."""
+    rows, columns = np.nonzero(events)
     return zip(rows.tolist(), columns.tolist(), strict=True)
 
 
 def _aligned(before: LineStates, joined: Joined, view: View) -> LineStates:
-    """Return the rows of the vehicles as they stand now, in arrays of their own.
+    """Return the rows of the vehicles as they stand now; those of `counted` may be written to.
 
     A new one has been followed since its birth, though not listed: it starts on the side where it was then.
     """
     known = before.distance_m.shape[1] == len(view.lines)
     if joined.origin is None and known:
-        return LineStates(before.distance_m.copy(), before.side.copy(), before.counted.copy(), before.pending)
+        return LineStates(before.distance_m, before.side, before.counted.copy(), before.pending)
     blank = no_line_states(len(joined.vehicles), len(view.lines))
     if joined.origin is None or not known:
         return blank
     old = joined.origin >= 0
-    for name in ("distance_m", "side", "counted"):
-        getattr(blank, name)[old] = getattr(before, name)[joined.origin[old]]
-    if not old.all():
+    origin = joined.origin[old]
+    blank.distance_m[old], blank.side[old] = before.distance_m[origin], before.side[origin]
+    blank.counted[old] = before.counted[origin]
+    if len(origin) < len(old):
         born, _ = sides(view.lines, joined.from_x_m[~old], joined.from_y_m[~old])
         blank.distance_m[~old] = born
         blank.side[~old] = np.where(np.abs(born) >= view.parameters.travel_m, np.where(born >= 0, 1, -1), 0)

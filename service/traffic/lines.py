@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,9 +40,14 @@ def sides(lines: Sequence[Line], x_m: F64, y_m: F64) -> tuple[F64, F64]:
 
     The distance is positive to the left of the way from p0 to p1; the place is 0 at p0.
     """
-    ends = np.array([(line.x0_m, line.y0_m, line.x1_m, line.y1_m) for line in lines]).reshape(-1, 4)
-    along = ends[:, 2:] - ends[:, :2]
-    length = np.hypot(along[:, 0], along[:, 1])
-    ux, uy = (along / length[:, None]).T
-    dx, dy = x_m[:, None] - ends[:, 0], y_m[:, None] - ends[:, 1]
+    x0, y0, ux, uy = directions(tuple(lines))
+    dx, dy = x_m[:, None] - x0, y_m[:, None] - y0
     return ux * dy - uy * dx, ux * dx + uy * dy
+
+
+@lru_cache(maxsize=256)  # sensors of one process
+def directions(lines: tuple[Line, ...]) -> F64:
+    """Return (4, L) where each line begins, and its unit vector."""
+    ends = np.array([(line.x0_m, line.y0_m, line.x1_m, line.y1_m) for line in lines]).reshape(-1, 4).T
+    along = ends[2:] - ends[:2]
+    return np.concatenate([ends[:2], along / np.hypot(along[0], along[1])])

@@ -20,6 +20,7 @@ from service.traffic.assignment import Chart
 from service.traffic.model import Moment
 from service.traffic.vehicles import AHEAD_X, AHEAD_Y, IN_A_ROW, LANE, MOTION, STOPPED_US, ZONE, Vehicles
 
+_CONFIRMED = int(TrackStatus.CONFIRMED)
 _UNCLASSIFIED, _STATIONARY, _MOVING = (
     int(MotionState.UNCLASSIFIED), int(MotionState.STATIONARY), int(MotionState.MOVING)
 )  # fmt: skip
@@ -45,14 +46,13 @@ def classify(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     Forward is the direction of the vehicle's lane; outside of lanes `forward_rad`, or, where that is None,
     away from the radar.
     """
-    seen = np.flatnonzero((now.status == TrackStatus.CONFIRMED) & (not moment.tick))
+    seen = np.flatnonzero((now.status == _CONFIRMED) & (not moment.tick))
     if len(seen):
-        f = np.float64
+        x, y, vx, vy = np.array((now.x_m, now.y_m, now.vx_mps, now.vy_mps), dtype=np.float64)
         fixed = (0.0, 0.0) if forward_rad is None else (math.sin(forward_rad), math.cos(forward_rad))
         _classify(
-            seen, moment.time_us, now.x_m.astype(f), now.y_m.astype(f), now.vx_mps.astype(f),
-            now.vy_mps.astype(f), vehicles.whole, vehicles.real, chart.index, chart.first, chart.point, fixed,
-            (p.frames, int(1e6 * p.stationary_after_s)), (p.rest_mps, p.leave_mps),
+            seen, moment.time_us, x, y, vx, vy, vehicles.whole, vehicles.real, chart.index, chart.first,
+            chart.point, fixed, (p.frames, int(1e6 * p.stationary_after_s)), (p.rest_mps, p.leave_mps),
         )  # fmt: skip
     return vehicles.whole[:, MOTION].astype(np.uint8)
 

@@ -12,6 +12,9 @@ import numpy as np
 
 from service.tracking.model import F32, I64, Bool, TrackEstimates, TrackStatus
 from service.traffic.model import Moment, Samples, Trajectory, no_samples, take
+from service.traffic.vehicles import find
+
+_CONFIRMED = int(TrackStatus.CONFIRMED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ def follow(
         ended = _ended(paths, now.number)
         x, y = _last_places(paths, now.number)
     far = np.hypot(now.x_m - x, now.y_m - y) >= p.step_m
-    due = (far | np.isnan(x)) & (now.status == TrackStatus.CONFIRMED) & (not moment.tick)
+    due = (far | np.isnan(x)) & (now.status == _CONFIRMED) & (not moment.tick)
     recent = paths.recent
     if due.any():
         x, y = np.where(due, now.x_m, x), np.where(due, now.y_m, y)
@@ -85,13 +88,14 @@ def across_std_m(now: TrackEstimates) -> F32:
 def _last_places(paths: Paths, number: I64) -> tuple[F32, F32]:
     """Return where the last sample of each track now listed was taken, NaN for a new one."""
     x, y = np.full((2, len(number)), np.nan, dtype=np.float32)
-    _, here, before = np.intersect1d(number, paths.number, assume_unique=True, return_indices=True)
-    x[here], y[here] = paths.x_m[before], paths.y_m[before]
+    before = find(paths.number, number)
+    here = np.flatnonzero(before >= 0)
+    x[here], y[here] = paths.x_m[before[here]], paths.y_m[before[here]]
     return x, y
 
 
 def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
-    gone = np.flatnonzero(~np.isin(paths.number, listed, assume_unique=True))
+    gone = np.flatnonzero(find(listed, paths.number) < 0)
     if not len(gone):
         return ()
     everything = join((paths.past, *paths.recent))

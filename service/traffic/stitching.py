@@ -14,6 +14,7 @@ import numpy as np
 
 from service.tracking.model import F64, I64, Bool
 from service.traffic.count_parameters import CountParameters
+from service.traffic.vehicles import find
 from service.traffic.window import PLANE, VX, VY, Scan, X, Y
 
 _SLOW_MPS = 0.5  # below, the direction of a velocity means little and the axes of the cost are taken alike
@@ -30,32 +31,32 @@ class Vehicles:
     real: F64  # (4, V) x_m, y_m, vx_mps, vy_mps where it was measured last
 
     def __len__(self) -> int:
-        return self.whole.shape[1]
+        return int(self.whole.shape[1])
 
     @property
     def number(self) -> I64:
         """Return the number of the track that carries the vehicle now."""
-        return self.whole[NUMBER]
+        return np.asarray(self.whole[NUMBER])
 
     @property
     def vehicle(self) -> I64:
         """Return the number of its first track: its name."""
-        return self.whole[VEHICLE]
+        return np.asarray(self.whole[VEHICLE])
 
     @property
     def first_us(self) -> I64:
         """Return when its first track was listed."""
-        return self.whole[FIRST_US]
+        return np.asarray(self.whole[FIRST_US])
 
     @property
     def track_us(self) -> I64:
         """Return when its newest track was listed."""
-        return self.whole[TRACK_US]
+        return np.asarray(self.whole[TRACK_US])
 
     @property
     def last_us(self) -> I64:
         """Return when it was measured last."""
-        return self.whole[LAST_US]
+        return np.asarray(self.whole[LAST_US])
 
     def take(self, index: I64 | Bool) -> Vehicles:
         """Return the vehicles at `index` (integers or a mask)."""
@@ -83,18 +84,18 @@ def no_vehicles() -> Vehicles:
 def join(before: Vehicles, scan: Scan, p: CountParameters) -> Joined:
     """Return the vehicles after a scan: pieces joined, those lost for longer than a gap forgotten."""
     gap_us = round(p.stitch_gap_s * 1e6)
-    place = _find(scan.number, before.number)  # of each vehicle in the scan
-    starts = np.flatnonzero(_find(before.number, scan.number) < 0)
+    place = find(scan.number, before.number)  # of each vehicle in the scan
+    fresh = find(before.number, scan.number) < 0
+    starts = np.flatnonzero(fresh)
     stay = (place >= 0) | (scan.time_us - before.last_us <= gap_us)
     if not len(starts) and stay.all():
         return _same(before, scan, place)
     takes = _takes(before, np.flatnonzero(place < 0), scan, starts, p)
     for start, end in takes:
-        place[end] = start
-        stay[end] = True
-    fresh = np.setdiff1d(starts, [start for start, _ in takes])
-    origin = np.concatenate([np.flatnonzero(stay), np.full(len(fresh), -1)])
-    measured = np.concatenate([place[stay], fresh])
+        place[end], stay[end], fresh[start] = start, True, False
+    starts = np.flatnonzero(fresh)
+    origin = np.concatenate([np.flatnonzero(stay), np.full(len(starts), -1)])
+    measured = np.concatenate([place[stay], starts])
     number = np.where(measured >= 0, scan.number[measured] if len(scan.number) else 0, 0)
     number = np.where(measured >= 0, number, before.number[origin] if len(before) else 0)
     order = np.argsort(number, kind="stable")
@@ -143,16 +144,6 @@ def _joined(before: Vehicles, scan: Scan, origin: I64, measured: I64, number: I6
 def _newest(scan: Scan, measured: I64, seen: Bool, old: F64) -> F64:
     """Return places and velocities (4, V): those of the scan where a vehicle is in it."""
     return np.where(seen, scan.real[PLANE][:, measured], old) if len(scan.number) else old
-
-
-def _find(numbers: I64, wanted: I64) -> I64:
-    """Return where each wanted number stands in the ascending `numbers`, -1 where it does not."""
-    if not len(numbers):
-        return np.full(len(wanted), -1)
-    where = numbers.searchsorted(wanted)
-    where[where == len(numbers)] = 0
-    where[numbers[where] != wanted] = -1
-    return where
 
 
 def _takes(

@@ -40,6 +40,18 @@ def aligned(vehicles: Vehicles, number: I64) -> Vehicles:
     if np.array_equal(vehicles.number, number):
         return Vehicles(number, vehicles.whole.copy(), vehicles.real.copy())
     found = no_vehicles(number)
-    _, here, before = np.intersect1d(number, vehicles.number, assume_unique=True, return_indices=True)
+    before = find(vehicles.number, number)
+    here = np.flatnonzero(before >= 0)
+    before = before[here]
     found.whole[here], found.real[here] = vehicles.whole[before], vehicles.real[before]
     return found
+
+
+def find(numbers: I64, wanted: I64) -> I64:
+    """Return where each wanted number stands in the ascending `numbers`, -1 where it does not."""
+    if not len(numbers):
+        return np.full(len(wanted), -1)
+    where = numbers.searchsorted(wanted)
+    where[where == len(numbers)] = 0
+    where[numbers[where] != wanted] = -1
+    return where
