@@ -7,7 +7,6 @@ jitter of a standing vehicle does not add up to a journey.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -16,39 +15,38 @@ import numpy as np
 from service.formats.length_class import length_class
 from service.storage.rows import STATE_SAMPLE, Rows, StateBlock, TrackKey, TrackSummary
 from service.tracking.model import F64, I64, MOTION_SHIFT, U8, Bool, TrackEstimates
+from service.traffic.vehicles import find
 
 ANCHOR_STEP_M = 1.0
 _SECOND_US = 1_000_000
 _MS_US = 1_000
 
 
+# rows of `OpenTracks.whole`
+NUMBER, FIRST_US, LAST_US, FIRST_FRAME, LAST_FRAME, STATES, HITS = range(7)
+# rows of `OpenTracks.real`; the anchor is where the distance was last added up
+LENGTH, WIDTH, EXISTENCE, FIRST_X, FIRST_Y, LAST_X, LAST_Y, ANCHOR_X, ANCHOR_Y = range(9)
+DISTANCE, SPEED_SUM, SPEED_MAX = range(9, 12)
+_EXTENT = slice(LENGTH, EXISTENCE + 1)
+_FIRST, _LAST, _ANCHOR = slice(FIRST_X, LAST_X), slice(LAST_X, ANCHOR_X), slice(ANCHOR_X, DISTANCE)
+
+
 @dataclass(frozen=True, slots=True)
 class OpenTracks:
-    """What was seen so far of the tracks that are listed: (T,) each, by number."""
+    """What was seen so far of the T tracks that are listed, by number."""
 
-    number: I64
-    first_us: I64
-    last_us: I64
-    first_frame: I64
-    last_frame: I64
-    states: I64
-    hits: I64
-    length_m: F64
-    width_m: F64
-    existence: F64
-    first_x_m: F64
-    first_y_m: F64
-    last_x_m: F64
-    last_y_m: F64
-    anchor_x_m: F64  # where the distance was last added up
-    anchor_y_m: F64
-    distance_m: F64  # up to the anchor
-    speed_sum_mps: F64
-    speed_max_mps: F64
+    whole: I64  # (7, T)
+    real: F64  # (12, T) metres, m/s
+
+    @property
+    def number(self) -> I64:
+        """Return the numbers of the tracks, (T,)."""
+        return np.asarray(self.whole[NUMBER])
 
     def take(self, index: I64 | Bool) -> OpenTracks:
         """Return the tracks at `index` (integers or a mask)."""
-        return OpenTracks(*(getattr(self, item.name)[index] for item in dataclasses.fields(self)))
+        where = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return OpenTracks(self.whole.take(where, axis=1), self.real.take(where, axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +77,7 @@ class Moment:
     time_us: int
 
 
-def _no_tracks() -> OpenTracks:
-    i, f = np.zeros(0, dtype=np.int64), np.zeros(0)
-    return OpenTracks(i, i, i, i, i, i, i, f, f, f, f, f, f, f, f, f, f, f, f)
-
-
-_NO_TRACKS = _no_tracks()
+_NO_TRACKS = OpenTracks(np.zeros((HITS + 1, 0), dtype=np.int64), np.zeros((SPEED_MAX + 1, 0)))
 
 
 def nothing_collected() -> Collected:
@@ -100,21 +93,23 @@ def collect_frame(
     tracks = _seen(before, moment.time_us, frame_number, estimates)
     blocks, closed = _close(state.blocks, moment, ended.number)
     blocks = _add_samples(blocks, moment.time_us, frame_number, estimates)
-    due = tracks.first_frame == frame_number
+    due = tracks.whole[FIRST_FRAME] == frame_number
     if closed:
-        due |= np.isin(tracks.number, [block.key.number for block in closed])
-    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks, moment, due=due))
-    return Collected(tracks, blocks), rows
+        due |= find(np.array([block.key.number for block in closed]), tracks.number) >= 0
+    summaries = _summaries(ended, moment, ended=True)
+    if due.any():
+        summaries += _summaries(tracks.take(due), moment)
+    return Collected(tracks, blocks), Rows(tuple(closed), summaries)
 
 
 def collect_tick(state: Collected, moment: Moment, estimates: TrackEstimates) -> tuple[Collected, Rows]:
     """Return the state after a tick: lost tracks end, a second that is over closes; no sample is added."""
-    stay = np.isin(state.tracks.number, estimates.number)
+    stay = find(estimates.number, state.tracks.number) >= 0
     tracks, ended = state.tracks.take(stay), state.tracks.take(~stay)
     blocks, closed = _close(state.blocks, moment, ended.number)
-    due = np.isin(tracks.number, [block.key.number for block in closed])
-    rows = Rows(tuple(closed), _summaries(ended, moment, ended=True) + _summaries(tracks, moment, due=due))
-    return Collected(tracks, blocks), rows
+    due = find(np.array([block.key.number for block in closed]), tracks.number) >= 0
+    summaries = _summaries(ended, moment, ended=True) + _summaries(tracks.take(due), moment)
+    return Collected(tracks, blocks), Rows(tuple(closed), summaries)
 
 
 def end_all(state: Collected, moment: Moment) -> Rows:
@@ -129,59 +124,42 @@ def _aligned(
     """Return what was seen before of each track listed now, and the tracks that are listed no more."""
     if np.array_equal(tracks.number, now.number):
         return tracks, _NO_TRACKS
-    ended = tracks.take(~np.isin(tracks.number, now.number))
-    where = np.searchsorted(tracks.number, now.number)
-    known = np.zeros(len(now), dtype=np.bool_)
-    inside = where < len(tracks.number)
-    known[inside] = tracks.number[where[inside]] == now.number[inside]
+    gone = find(now.number, tracks.number) < 0
+    ended = tracks.take(gone) if gone.any() else _NO_TRACKS
+    before = find(tracks.number, now.number)
+    known = np.flatnonzero(before >= 0)
     aligned = _newborn(time_us, frame_number, now)
-    for item in dataclasses.fields(aligned):
-        getattr(aligned, item.name)[known] = getattr(tracks, item.name)[where[known]]
+    aligned.whole[:, known] = tracks.whole[:, before[known]]
+    aligned.real[:, known] = tracks.real[:, before[known]]
     return aligned, ended
 
 
 def _newborn(time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
     """Return tracks that begin where they are now, with no frame counted, in arrays of their own."""
-    count = len(now)
-    zero = np.zeros(count)
-    time, frame = np.full(count, time_us, dtype=np.int64), np.full(count, frame_number, dtype=np.int64)
-    x, y = now.x_m.astype(np.float64), now.y_m.astype(np.float64)
-    return OpenTracks(
-        number=now.number.copy(), first_us=time, last_us=time.copy(), first_frame=frame,
-        last_frame=frame.copy(), states=np.zeros(count, dtype=np.int64), hits=now.hits.copy(),
-        length_m=zero.copy(), width_m=zero.copy(), existence=zero.copy(), first_x_m=x, first_y_m=y,
-        last_x_m=x.copy(), last_y_m=y.copy(), anchor_x_m=x.copy(), anchor_y_m=y.copy(),
-        distance_m=zero.copy(), speed_sum_mps=zero.copy(), speed_max_mps=zero.copy(),
-    )  # fmt: skip
+    whole, real = np.zeros((HITS + 1, len(now)), dtype=np.int64), np.zeros((SPEED_MAX + 1, len(now)))
+    whole[NUMBER], whole[FIRST_US], whole[FIRST_FRAME] = now.number, time_us, frame_number
+    for places in (_FIRST, _LAST, _ANCHOR):
+        real[places] = now.x_m, now.y_m
+    return OpenTracks(whole, real)
 
 
 def _seen(before: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
     """Return the tracks with this frame added."""
-    x, y = now.x_m.astype(np.float64), now.y_m.astype(np.float64)
-    speed = np.hypot(now.vx_mps.astype(np.float64), now.vy_mps.astype(np.float64))
-    step = np.hypot(x - before.anchor_x_m, y - before.anchor_y_m)
+    whole, real = before.whole.copy(), before.real.copy()
+    whole[LAST_US], whole[LAST_FRAME], whole[HITS] = time_us, frame_number, now.hits
+    whole[STATES] += 1
+    columns = (now.x_m, now.y_m, now.vx_mps, now.vy_mps, now.length_m, now.width_m, now.existence)
+    seen = np.array(columns, dtype=np.float64)
+    place, velocity = seen[:2], seen[2:4]
+    real[_EXTENT], real[_LAST] = seen[4:], place
+    step = np.hypot(*(place - real[_ANCHOR]))
     moved = step >= ANCHOR_STEP_M
-    return OpenTracks(
-        number=before.number,
-        first_us=before.first_us,
-        last_us=np.full(len(now), time_us, dtype=np.int64),
-        first_frame=before.first_frame,
-        last_frame=np.full(len(now), frame_number, dtype=np.int64),
-        states=before.states + 1,
-        hits=now.hits,
-        length_m=now.length_m.astype(np.float64),
-        width_m=now.width_m.astype(np.float64),
-        existence=now.existence.astype(np.float64),
-        first_x_m=before.first_x_m,
-        first_y_m=before.first_y_m,
-        last_x_m=x,
-        last_y_m=y,
-        anchor_x_m=np.where(moved, x, before.anchor_x_m),
-        anchor_y_m=np.where(moved, y, before.anchor_y_m),
-        distance_m=before.distance_m + np.where(moved, step, 0.0),
-        speed_sum_mps=before.speed_sum_mps + speed,
-        speed_max_mps=np.maximum(before.speed_max_mps, speed),
-    )
+    real[_ANCHOR] = np.where(moved, place, real[_ANCHOR])
+    real[DISTANCE] += np.where(moved, step, 0.0)
+    speed = np.hypot(*velocity)
+    real[SPEED_SUM] += speed
+    real[SPEED_MAX] = np.maximum(real[SPEED_MAX], speed)
+    return OpenTracks(whole, real)
 
 
 def _no_blocks(second: int) -> OpenBlocks:
@@ -207,62 +185,76 @@ def _close(blocks: OpenBlocks, moment: Moment, ended: I64) -> tuple[OpenBlocks, 
     """Return what stays open now, and the blocks of the second that is over or of the ended tracks."""
     second = moment.time_us // _SECOND_US
     if second > blocks.second:
-        return _no_blocks(second), _blocks(blocks, moment, np.unique(blocks.number))
+        return _no_blocks(second), _blocks(blocks, moment)
     if len(ended) == 0:
         return blocks, []
-    stay = ~np.isin(blocks.number, ended)
-    rest = OpenBlocks(blocks.second, blocks.number[stay], blocks.frame[stay], blocks.sample[stay])
-    return rest, _blocks(blocks, moment, np.intersect1d(blocks.number, ended))
+    over = find(ended, blocks.number) >= 0
+    parts = [
+        OpenBlocks(blocks.second, blocks.number[which], blocks.frame[which], blocks.sample[which])
+        for which in (~over, over)
+    ]
+    return parts[0], _blocks(parts[1], moment)
 
 
-def _blocks(blocks: OpenBlocks, moment: Moment, numbers: I64) -> list[StateBlock]:
-    return [_block(blocks, moment, number) for number in numbers.tolist()]
+def _blocks(blocks: OpenBlocks, moment: Moment) -> list[StateBlock]:
+    """Return the samples as a block for each track, by number."""
+    order = np.argsort(blocks.number, kind="stable")
+    numbers, first, count = np.unique(blocks.number[order], return_index=True, return_counts=True)
+    samples, frames = blocks.sample[order], blocks.frame[order]
+    samples.view(STATE_SAMPLE).reshape(-1)["frame_offset"] = frames - np.repeat(frames[first], count)
+    return [
+        StateBlock(
+            TrackKey(moment.sensor_id, moment.epoch, number),
+            blocks.second,
+            frame,
+            samples[at : at + many].tobytes(),
+        )
+        for number, frame, at, many in zip(
+            numbers.tolist(), frames[first].tolist(), first.tolist(), count.tolist(), strict=True
+        )
+    ]
 
 
-def _block(blocks: OpenBlocks, moment: Moment, number: int) -> StateBlock:
-    mine = blocks.number == number
-    samples = blocks.sample[mine].view(STATE_SAMPLE).reshape(-1)
-    frames = blocks.frame[mine]
-    samples["frame_offset"] = frames - frames[0]
-    key = TrackKey(moment.sensor_id, moment.epoch, number)
-    return StateBlock(key, blocks.second, int(frames[0]), samples.tobytes())
+def _summaries(tracks: OpenTracks, moment: Moment, *, ended: bool = False) -> tuple[TrackSummary, ...]:
+    """Return the summaries of the tracks."""
+    if not len(tracks.number):
+        return ()
+    last_step = np.hypot(*(tracks.real[_LAST] - tracks.real[_ANCHOR]))
+    table = tracks.real.copy()
+    table[DISTANCE] += last_step
+    table[SPEED_SUM] /= tracks.whole[STATES]
+    return tuple(
+        _summary(whole, real, moment, ended=ended)
+        for whole, real in zip(tracks.whole.T.tolist(), table.T.tolist(), strict=True)
+    )
 
 
-def _summaries(
-    tracks: OpenTracks, moment: Moment, *, due: Bool | None = None, ended: bool = False
-) -> tuple[TrackSummary, ...]:
-    """Return the summaries of the tracks that are due (None: all)."""
-    wanted = range(len(tracks.number)) if due is None else np.flatnonzero(due).tolist()
-    return tuple(_summary(tracks, i, moment, ended=ended) for i in wanted)
-
-
-def _summary(tracks: OpenTracks, i: int, moment: Moment, *, ended: bool) -> TrackSummary:
-    length_m, width_m = _known(tracks.length_m[i]), _known(tracks.width_m[i])
-    states = int(tracks.states[i])
-    last_step = np.hypot(tracks.last_x_m[i] - tracks.anchor_x_m[i], tracks.last_y_m[i] - tracks.anchor_y_m[i])
+def _summary(whole: list[int], real: list[float], moment: Moment, *, ended: bool) -> TrackSummary:
+    """Return the summary of one track; the sum of its speeds has been divided by its states already."""
+    length_m, width_m = _known(real[LENGTH]), _known(real[WIDTH])
     return TrackSummary(
-        key=TrackKey(moment.sensor_id, moment.epoch, int(tracks.number[i])),
+        key=TrackKey(moment.sensor_id, moment.epoch, whole[NUMBER]),
         as_of=moment.position,
         ended=ended,
-        first_time_us=int(tracks.first_us[i]),
-        last_time_us=int(tracks.last_us[i]),
-        first_frame=int(tracks.first_frame[i]),
-        last_frame=int(tracks.last_frame[i]),
-        states=states,
-        hits=int(tracks.hits[i]),
+        first_time_us=whole[FIRST_US],
+        last_time_us=whole[LAST_US],
+        first_frame=whole[FIRST_FRAME],
+        last_frame=whole[LAST_FRAME],
+        states=whole[STATES],
+        hits=whole[HITS],
         length_m=length_m,
         width_m=width_m,
         length_class=length_class(length_m),
-        existence=float(tracks.existence[i]),
-        first_x_m=float(tracks.first_x_m[i]),
-        first_y_m=float(tracks.first_y_m[i]),
-        last_x_m=float(tracks.last_x_m[i]),
-        last_y_m=float(tracks.last_y_m[i]),
-        distance_m=float(tracks.distance_m[i] + last_step),
-        mean_speed_mps=float(tracks.speed_sum_mps[i] / states),
-        max_speed_mps=float(tracks.speed_max_mps[i]),
+        existence=real[EXISTENCE],
+        first_x_m=real[FIRST_X],
+        first_y_m=real[FIRST_Y],
+        last_x_m=real[LAST_X],
+        last_y_m=real[LAST_Y],
+        distance_m=real[DISTANCE],
+        mean_speed_mps=real[SPEED_SUM],
+        max_speed_mps=real[SPEED_MAX],
     )
 
 
 def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)
+    return None if math.isnan(value) else value

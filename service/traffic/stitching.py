@@ -60,7 +60,8 @@ class Vehicles:
 
     def take(self, index: I64 | Bool) -> Vehicles:
         """Return the vehicles at `index` (integers or a mask)."""
-        return Vehicles(self.whole[:, index], self.real[:, index])
+        where = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Vehicles(self.whole.take(where, axis=1), self.real.take(where, axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +144,7 @@ def _joined(before: Vehicles, scan: Scan, origin: I64, measured: I64, number: I6
 
 def _newest(scan: Scan, measured: I64, seen: Bool, old: F64) -> F64:
     """Return places and velocities (4, V): those of the scan where a vehicle is in it."""
-    return np.where(seen, scan.real[PLANE][:, measured], old) if len(scan.number) else old
+    return np.where(seen, scan.real[PLANE].take(measured, axis=1), old) if len(scan.number) else old
 
 
 def _takes(
