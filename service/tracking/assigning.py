@@ -25,6 +25,7 @@ from service.tracking.boxes import (
     BWID,
     BX,
     BY,
+    M_COUNT,
     M_U,
     M_V,
     M_VAR_U,
@@ -41,6 +42,8 @@ from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.tracking.parameters import TrackerParameters
 from service.tracking.state import Tracks
+
+OUTLIER_POINTS = 4  # fewer may well be of something else
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +122,8 @@ def assign(
     doppler_var = (b.doppler_noise_factor * p.sensor.velocity_std_mps) ** 2
     z, R, log_weight = _weigh_pairs(
         box, group, measured, boxes, z_hat, S_prior, pd,
-        (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate),
+        (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate,
+         b.outlier_d2),
     )  # fmt: skip
     joint = associate(b.association, log_weight, np.log1p(-pd), temper=b.temper)
     zs, Rs, beta, own = _padded(box, group, z, R, measured, joint.beta, len(tracks))
@@ -136,7 +140,7 @@ def _weigh_pairs(
     outside the elliptical gate weighs nothing. Clutter is uniform in the plane: an element of azimuth is
     wider far away.
     """
-    doppler_var, doppler_floor, density3, density2, gate = q
+    doppler_var, doppler_floor, density3, density2, gate, outlier = q
     n_pairs, n = len(box), len(boxes)
     z, R = np.empty((n_pairs, 3)), np.zeros((n_pairs, 3, 3))
     log_weight = np.full((n, n), -np.inf)
@@ -180,6 +184,15 @@ def _weigh_pairs(
             log_det += 2.0 * math.log(L[r, r])
         if d2 >= gate and i != group[k]:
             continue
+        if d2 > outlier and i == group[k] and m[M_COUNT] >= OUTLIER_POINTS:
+            # many points in its gate are its own; where the ends of the box, as they are known, contradict
+            # them, the measurement is worth so much less that it is believable
+            stretch = d2 / outlier
+            for r in range(3):
+                for c in range(3):
+                    R[k, r, c] += (stretch - 1.0) * (S_prior[i, r, c] + R[k, r, c])
+            log_det += size * math.log(stretch)
+            d2 = outlier
         log_density = -0.5 * (d2 + log_det + size * math.log(2.0 * math.pi))
         log_clutter = math.log((density3 if size == 3 else density2) * max(g, 1.0))
         # bounded: an outlier among its own points must not leave a track with nothing at all

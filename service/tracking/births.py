@@ -22,7 +22,10 @@ class BirthParameters:
 
     min_points: int = 3  # unclaimed points of one cluster in the window
     min_frames: int = 2  # from so many different frames
-    keep_out_m: float = 1.0  # nothing starts within this of a box
+    keep_out_m: float = 1.0  # nothing starts within this of a box, ahead of it or behind ...
+    keep_out_across_m: float = 0.3  # ... or beside it; ...
+    keep_out_like_m: float = 1.1  # ... the same, of what has the range rate of the box: its other side
+    keep_out_like_mps: float = 0.5
     tangential_std_mps: float = 2.5  # speed across the line of sight that a new track may have
     radial_std_mps: float = 0.4
     length_m: float = 4.4  # a car until more is known

@@ -34,6 +34,12 @@ _BIAS_WIDTHS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.36, 0.39])
 
 _FAR = 60.0  # squared distance from which a point has nothing to do with a box: beyond every gate
 _SLACK = 1.0 + 1e-9  # rounding must not end a pair that the full sum would keep
+ALONE_M = 1.5  # gap along the box that sets a single point apart ...
+ALONE_BEYOND_M = 1.0  # ... if it lies this far beyond the end
+EDGE_POINTS_M = 1.5  # points this near the nearest range ever seen ...
+EDGE_BOX_M = 3.0  # ... of a box whose near face is predicted this near: the near face is cut off
+EDGE_ENTERING_M = 4.0  # of a vehicle that comes in one of the two is enough, with points nearer than this
+EDGE_SPEED_MPS = 1.0
 _REACH_M = 22.0  # points further than this from a centre belong to no box: half a road train and a margin
 
 
@@ -280,6 +286,7 @@ def measure_boxes(
         if count == 0:
             continue
         u_min, u_max, g_min = np.inf, -np.inf, np.inf
+        u_low, u_high = np.inf, -np.inf  # the outermost but one
         sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = 0.0
         n_v = 0
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
@@ -291,6 +298,7 @@ def measure_boxes(
             dx, dy = p[PX] - b[BX], p[PY] - b[BY]
             u = b[BSIN] * dx + b[BCOS] * dy
             w = b[BCOS] * dx - b[BSIN] * dy
+            u_low, u_high = min(u_low, max(u, u_min)), max(u_high, min(u, u_max))
             u_min, u_max, g_min = min(u_min, u), max(u_max, u), min(g_min, p[PG])
             var_t = p[PG] * p[PG] * p[PVAR_AZ]
             a = p[PWEIGHT]
@@ -303,6 +311,11 @@ def measure_boxes(
             if p[PV] == p[PV]:
                 dv[n_v] = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
                 n_v += 1
+        if count > 2:  # a point alone beyond an end is of another vehicle, or of nothing
+            alone_low = u_low - u_min > ALONE_M and u_min < -0.5 * b[BLEN] - ALONE_BEYOND_M
+            alone_high = u_max - u_high > ALONE_M and u_max > 0.5 * b[BLEN] + ALONE_BEYOND_M
+        else:
+            alone_low = alone_high = False
         effective = sum_a * sum_a / sum_a2
         half, width = 0.5 * b[BLEN], b[BWID]
         angle = math.acos(min(abs(to_radar), 1.0))
@@ -312,13 +325,19 @@ def measure_boxes(
         s = 1.0 if to_radar > 0.0 else -1.0
         if abs(to_radar) > 0.5:
             std = 0.12 + 0.6 / count
-            if g_min < range_seen_min + 1.5 and los_norm - half < range_seen_min + 3.0:
+            edge = g_min < range_seen_min + EDGE_POINTS_M and los_norm - half < range_seen_min + EDGE_BOX_M
+            if s < 0.0 and b[BSPEED] > EDGE_SPEED_MPS and g_min < range_seen_min + EDGE_ENTERING_M:
+                # what comes in is seen too short at first, and how near the view begins depends on the echo
+                edge |= min(g_min - EDGE_POINTS_M, los_norm - half - EDGE_BOX_M) < range_seen_min
+            if edge:
                 out[q, M_EDGE] = 1.0
+                u_min, u_max = (u_low if alone_low else u_min), (u_high if alone_high else u_max)
                 far = u_min if s > 0.0 else u_max
                 out[q, M_U] = far + s * (half - 0.4)
                 std += 0.3
             else:
-                near = u_max if s > 0.0 else u_min
+                first, last = (u_low if alone_low else u_min), (u_high if alone_high else u_max)
+                near = last if s > 0.0 else first
                 out[q, M_U] = near + s * (0.05 - half)
             out[q, M_VAR_U] = std * std
         else:

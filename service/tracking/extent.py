@@ -140,6 +140,8 @@ def _learn_length(
         if count >= narrow_hits and seen < narrow_extent and points_per_hit[i] < narrow_points:
             target = shortest
         edge = measured[i, M_EDGE] > 0.5
+        if edge and math.cos(aspect) > 0.0:  # it comes into view: what is seen of it only grows
+            target = max(target, min(extent, ordered[count - 1]) + margin)
         change = min(max(target - length[i], -shrink), edge_growth if edge else growth)
         new = min(max(length[i] + change, shortest), longest)
         facing = math.cos(aspect)

@@ -17,13 +17,17 @@ class MergingParameters:
     """How near two tracks must be to be one vehicle."""
 
     same_centre_m: float = 2.0
-    same_speed_mps: float = 2.5
+    same_speed_mps: float = (
+        0.35  # most that the range rates of one vehicle's tracks differ, when well known ...
+    )
+    same_speed_stds: float = 1.5  # ... and so many standard deviations of the difference more
     inside_across_m: float = 1.0
     lane_across_m: float = 1.6
     piece_speed_mps: float = 4.0  # pieces are joined only in motion: in a queue the next vehicle is as near
     piece_dv_mps: float = 0.6
     piece_gap_s: float = 0.25
     piece_gap_m: float = 5.0
+    piece_hits: int = 40  # the younger of two that do not overlap: what lasted longer is a vehicle of its own
     length_max_m: float = 19.0
 
 
@@ -35,9 +39,10 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     n = len(tracks)
     drop = np.zeros(n, dtype=np.bool_)
     first, second, piece = find_pairs(
-        tracks.mean, tracks.heading_rad, tracks.length_m,
-        (p.same_centre_m, p.same_speed_mps, p.inside_across_m, p.lane_across_m, p.piece_speed_mps,
-         p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, p.length_max_m),
+        tracks.mean, tracks.cov, tracks.heading_rad, tracks.turn_rate_radps, tracks.length_m, tracks.hits,
+        (p.same_centre_m, p.same_speed_mps, p.same_speed_stds, p.inside_across_m, p.lane_across_m,
+         p.piece_speed_mps, p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, float(p.piece_hits),
+         p.length_max_m),
     )  # fmt: skip
     if not len(first):
         return tracks, drop
@@ -60,35 +65,52 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
 
 
 @kernel
-def find_pairs(mean: F64, heading: F64, length: F64, q: tuple[float, ...]) -> tuple[I64, I64, Bool]:
+def find_pairs(
+    mean: F64, cov: F64, heading: F64, turn_rate: F64, length: F64, hits: I64, q: tuple[float, ...]
+) -> tuple[I64, I64, Bool]:
     """Return pairs (i, j) of tracks that are one vehicle, seen from i, and whether j is but a piece of i.
 
     Duplicates have one centre, or one of them lies in the other's box; pieces drive one behind the other
-    in one lane at one speed. Speeds are compared along the line of sight, where Doppler makes them certain.
+    in one lane at one speed. Velocities are compared along the line of sight to either, where Doppler makes
+    them certain; the ends of a turning body differ by the turn rate times their distance.
     """
-    same_centre, same_speed, inside_across, lane_across, piece_speed, piece_dv, gap_s, gap_m, longest = q
+    (
+        same_centre, same_speed, speed_stds, inside_across, lane_across, piece_speed, piece_dv, gap_s, gap_m,
+        piece_hits, longest,
+    ) = q  # fmt: skip
     n, pairs, likely = len(heading), 0, False
-    rate, lies = np.empty(n), np.zeros((n, n), dtype=np.uint8)
+    bearing_sin, bearing_cos, lies = np.empty(n), np.empty(n), np.zeros((n, n), dtype=np.uint8)
     for i in range(n):
-        bearing = math.atan2(mean[i, 0], mean[i, 3])
-        rate[i] = mean[i, 1] * math.sin(bearing) + mean[i, 4] * math.cos(bearing)
-    fastest = max(2.0 * same_speed, piece_dv)
+        g = max(math.hypot(mean[i, 0], mean[i, 3]), 1e-6)
+        bearing_sin[i], bearing_cos[i] = mean[i, 0] / g, mean[i, 3] / g
     for i in range(n):
         s, c, speed = math.sin(heading[i]), math.cos(heading[i]), math.hypot(mean[i, 1], mean[i, 4])
         reach = max(longest, length[i]) + lane_across + inside_across + same_centre  # of any of the three
         for j in range(n):
-            dx, dy, dv = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3], abs(rate[i] - rate[j])
-            if i == j or abs(dx) > reach or abs(dy) > reach or dv > fastest:
+            dx, dy = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3]
+            if i == j or abs(dx) > reach or abs(dy) > reach:
+                continue
+            apart, dv, like = math.hypot(dx, dy), np.inf, False
+            turned = max(abs(turn_rate[i]), abs(turn_rate[j])) * apart
+            for k in (i, j):
+                a, b = bearing_sin[k], bearing_cos[k]
+                here = abs(a * (mean[i, 1] - mean[j, 1]) + b * (mean[i, 4] - mean[j, 4]))
+                var = a * a * (cov[i, 1, 1] + cov[j, 1, 1]) + b * b * (cov[i, 4, 4] + cov[j, 4, 4])
+                var += 2.0 * a * b * (cov[i, 1, 4] + cov[j, 1, 4])
+                like = like or here <= same_speed + speed_stds * math.sqrt(var) + turned
+                dv = min(dv, here)
+            if not like:
                 continue
             along, across, half = abs(s * dx + c * dy), abs(c * dx - s * dy), 0.5 * (length[i] + length[j])
-            if across < 0.75 * same_centre and dv < same_speed and math.hypot(dx, dy) < same_centre:
+            if across < 0.75 * same_centre and apart < same_centre:
                 lies[i, j] += _CLOSE
             if along < 0.5 * length[i] and across < inside_across and length[i] >= length[j]:
-                if dv < 2.0 * same_speed:
-                    lies[i, j] += _INSIDE
+                lies[i, j] += _INSIDE
             if across < lane_across and dv < piece_dv and along + half < longest and speed > piece_speed:
+                overlap = along < half
                 if along - half < min(gap_s * speed, gap_m):
-                    lies[i, j] += _PIECE
+                    if overlap or min(hits[i], hits[j]) < piece_hits:
+                        lies[i, j] += _PIECE
             likely = likely or lies[i, j] > 0
     if not likely:
         return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.bool_)

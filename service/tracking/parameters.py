@@ -59,6 +59,7 @@ class AssociationParameters:
     gate: float = 12.0  # squared distance of a point to a box
     cluster_gate: float = 25.0  # ... when its cluster belongs to that box alone
     ellipse_gate: float = 25.0  # squared distance of a measured centre of another box's points; 3 dimensions
+    outlier_d2: float = 16.0  # largest squared distance at which a box's own points are believed as they are
     tentative_handicap: float = 4.0  # in squared distance: a confirmed box goes first
     growth_reach_m: float = (
         5.0  # a box may reach this far beyond its far end, half a second of travel at most

@@ -27,6 +27,9 @@ class RoadMapParameters:
     learn_speed_mps: float = 3.0
     learn_interval_frames: int = 3  # at 25 m/s a vehicle needs three frames for a cell
     arc_step_m: float = 1.0  # of the way back to where a track was first seen
+    came_from_m: float = (
+        8.0  # ... and straight on behind it: what is first seen somewhere has come from there
+    )
     arc_half_turn_rad: float = 0.6  # a sharper turn is no arc of one circle
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
     one_way_agreement: float = 0.97  # length of the mean direction: all within some 15 degrees
@@ -77,6 +80,7 @@ def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
 
     A track is sure of itself only after a second or two, a long way from where it was first seen. From its
     first place to where it is now, heading `heading_rad`, it came along a circle: the chord halves the turn.
+    Behind that place it came straight, for `came_from_m`: at the edge of view others are first seen there.
     No places when the two are too near, or the turn too sharp, for the chord to tell.
     """
     dx, dy = end - start
@@ -89,6 +93,11 @@ def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
     bow = 0.5 * length * math.tan(0.5 * half_turn) * 4.0 * share * (1.0 - share)  # to the left of the chord
     place = start + share * (end - start) + bow * np.array([-math.cos(chord), math.sin(chord)])
     heading = chord + (2.0 * share[:, 0] - 1.0) * half_turn
+    back = np.arange(math.floor(p.came_from_m / p.arc_step_m), 0.0, -1.0)[:, None] * p.arc_step_m
+    first_heading = chord - half_turn
+    before = start - back * np.array([math.sin(first_heading), math.cos(first_heading)])
+    place = np.concatenate([before, place])
+    heading = np.concatenate([np.full(len(before), first_heading), heading])
     i, j, inside = cell_of(place[:, 0], place[:, 1], p)
     _, first = np.unique(i * 100_000 + j, return_index=True)
     first = np.sort(first[inside[first]])

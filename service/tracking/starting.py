@@ -61,27 +61,37 @@ def _median(values: F64) -> float:
 
 def _outside(born: birth.Births, rows: list[F64], tracks: Tracks, p: TrackerParameters) -> birth.Births:
     """Return the births that do not stand inside a box, or within the keep-out distance of one."""
+    b = p.birth
+    g = np.maximum(np.hypot(born.x_m, born.y_m), 1e-6)
+    rate = (born.x_m * born.vx_mps + born.y_m * born.vy_mps) / g
     covered = _covered(
-        born.x_m, born.y_m, tracks.mean, tracks.heading_rad, tracks.length_m, tracks.width_m,
-        (p.birth.keep_out_m, 0.3, 2.0),
+        born.x_m, born.y_m, rate, tracks.mean, tracks.heading_rad, tracks.length_m, tracks.width_m,
+        (b.keep_out_m, b.keep_out_across_m, 2.0, b.keep_out_like_m, b.keep_out_like_mps),
     )  # fmt: skip
     return birth.gather([r for r, c in zip(rows, covered, strict=True) if not c])
 
 
 @kernel
 def _covered(
-    x_m: F64, y_m: F64, mean: F64, heading: F64, length: F64, width: F64, margins: tuple[float, ...]
-) -> Bool:
-    """Return which places (N,) lie in a box wider by margins along and across, or so near its centre."""
-    along, across, centre = margins
+    x_m: F64, y_m: F64, rate: F64, mean: F64, heading: F64, length: F64, width: F64,
+    margins: tuple[float, ...],
+) -> Bool:  # fmt: skip
+    """Return which places (N,) lie in a box wider by margins along and across, or so near its centre.
+
+    What moves as the box does (range rate (N,), NaN: unknown) is held to be its own within a wider margin.
+    """
+    along, across, centre, like_across, like_mps = margins
     out = np.zeros(len(x_m), np.bool_)
     for i in range(len(heading)):
         s, c = math.sin(heading[i]), math.cos(heading[i])
-        half_length, half_width = 0.5 * length[i] + along, 0.5 * width[i] + across
+        half_length, half_width = 0.5 * length[i] + along, 0.5 * width[i]
         for k in range(len(x_m)):
             dx, dy = x_m[k] - mean[i, 0], y_m[k] - mean[i, 3]
             u, w = abs(s * dx + c * dy), abs(c * dx - s * dy)
-            if (u < half_length and w < half_width) or math.hypot(u, w) < centre:
+            g = max(math.hypot(x_m[k], y_m[k]), 1e-6)
+            like = abs((x_m[k] * mean[i, 1] + y_m[k] * mean[i, 4]) / g - rate[k]) < like_mps
+            beside = half_width + (max(across, like_across) if like else across)
+            if (u < half_length and w < beside) or math.hypot(u, w) < centre:
                 out[k] = True
     return out
 
@@ -91,7 +101,11 @@ def _standing(state: TrackerState, p: TrackerParameters) -> list[F64]:
     q = w.points
     if len(state.tracks):
         t, (x, y) = state.tracks, q[:, [PX, PY]].T.copy()
-        q = q[~_covered(x, y, t.mean, t.heading_rad, t.length_m, t.width_m, (0.7, 0.7, 0.0))]
+        nothing = np.full(len(x), np.nan)
+        inside = _covered(
+            x, y, nothing, t.mean, t.heading_rad, t.length_m, t.width_m, (0.7, 0.7, 0.0, 0.0, 0.0)
+        )
+        q = q[~inside]
     q = q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
     n, heading, agreement = road_map.driven_at(state.road, q[:, PX], q[:, PY], p.road)
     driven = (n >= p.road.driven_tracks) & (agreement > 0.8)

@@ -137,7 +137,8 @@ def test_a_measurement_sums_up_the_points_of_its_set(rng):
         known = point[mine & np.isfinite(point[:, b.PV])]
         rate = (box[i, b.BVX] * known[:, b.PX] + box[i, b.BVY] * known[:, b.PY]) / known[:, b.PG]
         assert row[b.M_COUNT] == mine.sum()
-        assert (row[b.M_U_MIN], row[b.M_U_MAX]) == pytest.approx((u[i, mine].min(), u[i, mine].max()))
+        if not row[b.M_EDGE]:
+            assert (row[b.M_U_MIN], row[b.M_U_MAX]) == pytest.approx((u[i, mine].min(), u[i, mine].max()))
         mean_w = np.average(w[i, mine], weights=point[mine, b.PWEIGHT])
         assert row[b.M_W] == pytest.approx(mean_w - np.copysign(bias[i], np.sin(aspect[i])))
         assert row[b.M_V] == pytest.approx(
@@ -146,41 +147,103 @@ def test_a_measurement_sums_up_the_points_of_its_set(rng):
         assert row[b.M_ECHO] == pytest.approx(point[mine, b.PECHO].mean())
 
 
-def slow_pairs(mean, heading, length, p):
+def receding_car(*along_m):
+    """Return a receding 4.4 m box at y = 60 m and points on its axis, along_m from its centre."""
+    box, point = np.zeros((1, b.BOX_COLUMNS)), np.zeros((len(along_m), b.POINT_COLUMNS))
+    box[0, [b.BY, b.BCOS, b.BLEN, b.BWID]] = 60.0, 1.0, 4.4, 1.9
+    point[:, b.PY] = point[:, b.PG] = 60.0 + np.array(along_m)
+    point[:, b.PWEIGHT], point[:, b.PVAR_R], point[:, b.PVAR_AZ] = 10.0, 0.02, 1e-5
+    return box, point
+
+
+@pytest.mark.parametrize(
+    ("along_m", "near_m"),
+    [
+        ((-2.2, -1.0, 0.5, 2.0), -2.2),
+        ((-5.0, -2.2, -1.0, 0.5), -2.2),  # a point alone behind it is of another vehicle
+        ((-5.0, -4.5, -2.2, 0.5), -5.0),  # two are not alone: the box is longer than it is known to be
+        ((-5.0, -2.2), -5.0),  # of two points nobody knows which is alone
+    ],
+)
+def test_a_point_alone_beyond_the_near_end_is_not_the_near_end(along_m, near_m):
+    box, point = receding_car(*along_m)
+
+    measured = b.measure_boxes(
+        np.array([0]), np.array([0]), np.zeros(len(point), dtype=np.int64), point, box, 20.0
+    )
+
+    assert measured[0, b.M_U] == pytest.approx(near_m - 0.05 + 2.2, abs=1e-9)
+
+
+def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p):
     """Return the pairs of one vehicle and whether one is a piece, matrix by matrix."""
     dx, dy = mean[None, :, 0] - mean[:, None, 0], mean[None, :, 3] - mean[:, None, 3]
     s, c = np.sin(heading)[:, None], np.cos(heading)[:, None]
-    along, across = np.abs(s * dx + c * dy), np.abs(c * dx - s * dy)
-    bearing = np.arctan2(mean[:, 0], mean[:, 3])
-    rate = mean[:, 1] * np.sin(bearing) + mean[:, 4] * np.cos(bearing)
-    dv, speed = np.abs(rate[:, None] - rate), np.hypot(mean[:, 1], mean[:, 4])[:, None]
-    half = 0.5 * length[:, None]
-    close = (np.hypot(dx, dy) < p.same_centre_m) & (across < 0.75 * p.same_centre_m) & (dv < p.same_speed_mps)
-    inside = (along < half) & (across < p.inside_across_m) & (length[:, None] >= length)
-    inside &= dv < 2.0 * p.same_speed_mps
-    piece = (across < p.lane_across_m) & (dv < p.piece_dv_mps) & (speed > p.piece_speed_mps)
-    piece &= along - half - half.T < np.minimum(p.piece_gap_s * speed, p.piece_gap_m)
-    piece &= along + half + half.T < p.length_max_m
+    along, across, apart = np.abs(s * dx + c * dy), np.abs(c * dx - s * dy), np.hypot(dx, dy)
+    sin, cos = np.stack([mean[:, 0], mean[:, 3]]) / np.hypot(mean[:, 0], mean[:, 3])
+    gap_vx, gap_vy = mean[:, None, 1] - mean[:, 1], mean[:, None, 4] - mean[:, 4]
+    at_first = np.abs(sin[:, None] * gap_vx + cos[:, None] * gap_vy)
+    dv, speed = np.minimum(at_first, at_first.T), np.hypot(mean[:, 1], mean[:, 4])[:, None]
+    most = p.same_speed_mps + p.same_speed_stds * np.sqrt(rate_var[:, None] + rate_var)
+    most += np.maximum(np.abs(turn_rate)[:, None], np.abs(turn_rate)) * apart
+    half, like = 0.5 * length[:, None], dv <= most
+    close = (apart < p.same_centre_m) & (across < 0.75 * p.same_centre_m) & like
+    inside = (along < half) & (across < p.inside_across_m) & (length[:, None] >= length) & like
+    piece = (across < p.lane_across_m) & (dv < p.piece_dv_mps) & like & (speed > p.piece_speed_mps)
+    gap = along - half - half.T
+    piece &= (gap < np.minimum(p.piece_gap_s * speed, p.piece_gap_m)) & (
+        along + half + half.T < p.length_max_m
+    )
+    piece &= (gap < 0.0) | (np.minimum(hits[:, None], hits) < p.piece_hits)
     pair = close | inside | inside.T | (piece & piece.T)
     np.fill_diagonal(pair, False)
     return [(i, j, piece[i, j] and not close[i, j] and not inside[i, j]) for i, j in np.argwhere(pair)]
 
 
+def limits_of(p):
+    return (
+        p.same_centre_m, p.same_speed_mps, p.same_speed_stds, p.inside_across_m, p.lane_across_m,
+        p.piece_speed_mps, p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, float(p.piece_hits), p.length_max_m,
+    )  # fmt: skip
+
+
 def test_tracks_of_one_vehicle_are_found_as_by_the_definition(rng):
     p, found = MergingParameters(), 0
-    limits = (
-        p.same_centre_m, p.same_speed_mps, p.inside_across_m, p.lane_across_m, p.piece_speed_mps,
-        p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, p.length_max_m,
-    )  # fmt: skip
     for _ in range(30):
-        mean = np.zeros((14, 6))
+        mean, turn_rate = np.zeros((14, 6)), rng.choice([0.0, 0.1], 14)
         mean[:, 0], mean[:, 3] = rng.uniform(-4, 4, 14), rng.uniform(40, 80, 14)
-        mean[:, 4] = rng.choice([-15.0, -14.5, 2.0], 14)
+        mean[:, 4] = rng.choice([-15.0, -14.7, 2.0], 14)
         heading = np.arctan2(0.0, mean[:, 4]) + rng.normal(0, 0.05, 14)
-        length = rng.uniform(2.2, 12, 14)
-        expected = slow_pairs(mean, heading, length, p)
+        length, hits = rng.uniform(2.2, 12, 14), rng.integers(1, 100, 14)
+        rate_var = rng.uniform(0.001, 0.04, 14)
+        cov = np.zeros((14, 6, 6))
+        cov[:, 1, 1] = cov[:, 4, 4] = rate_var
+        expected = slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p)
         found += len(expected)
 
-        assert list(zip(*find_pairs(mean, heading, length, limits), strict=True)) == expected
+        pairs = find_pairs(mean, cov, heading, turn_rate, length, hits, limits_of(p))
+
+        assert list(zip(*pairs, strict=True)) == expected
 
     assert found > 100
+
+
+def two_behind_another(gap_m, dv_mps, hits):
+    """Return the pairs among two cars of 4.4 m in one lane, `gap_m` from centre to centre, at 14 m/s."""
+    mean, cov = np.zeros((2, 6)), np.zeros((2, 6, 6))
+    mean[:, 3], mean[:, 4] = (60.0, 60.0 + gap_m), (14.0, 14.0 + dv_mps)
+    cov[:, 1, 1] = cov[:, 4, 4] = 0.005
+    pairs = find_pairs(
+        mean, cov, np.zeros(2), np.zeros(2), np.full(2, 4.4), np.array(hits), limits_of(MergingParameters())
+    )
+    return len(pairs[0])
+
+
+def test_a_vehicle_that_passes_another_closely_is_not_taken_for_it():
+    assert two_behind_another(1.5, 0.1, (200, 100))
+    assert not two_behind_another(1.5, 0.8, (200, 100))  # Doppler tells them apart
+
+
+def test_only_a_young_track_is_a_piece_of_the_vehicle_before_it():
+    assert two_behind_another(6.0, 0.1, (200, 10))
+    assert not two_behind_another(6.0, 0.1, (200, 100))  # it has proved to be a vehicle of its own

@@ -114,10 +114,14 @@ def test_a_steady_turn_is_learned_and_predicted():
 def test_the_arc_back_to_the_first_place_lies_on_the_circle():
     radius, turn = 80.0, math.radians(35.0)
     end = radius * np.array([1.0 - math.cos(turn), math.sin(turn)])
+    start = np.array([0.0, 20.0])
 
-    places = road_map.arc(np.zeros(2), end, turn, RoadMapParameters())
+    places = road_map.arc(start, start + end, turn, RoadMapParameters()) - [0.0, 20.0, 0.0]
 
     assert len(places) > 8
+    came, places = places[places[:, 1] < 0.0], places[places[:, 1] >= 0.0]
+    np.testing.assert_allclose(came[:, [0, 2]], 0.0, atol=0.05)  # straight on behind its first place
+    assert came[:, 1].min() < -4.0
     off = np.hypot(places[:, 0] - radius, places[:, 1]) - radius
     true = np.arctan2(places[:, 1], radius - places[:, 0])
     np.testing.assert_allclose(off, 0.0, atol=0.05)

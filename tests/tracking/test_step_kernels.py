@@ -84,9 +84,14 @@ def test_places_are_covered_by_widened_boxes_and_near_centres(rng):
     dx, dy = x[:, None] - t.x_m, y[:, None] - t.y_m
     s, c = np.sin(t.heading_rad), np.cos(t.heading_rad)
     u, w = np.abs(s * dx + c * dy), np.abs(c * dx - s * dy)
-    inside = (u < t.length_m / 2 + 0.7) & (w < t.width_m / 2 + 0.3) | (np.hypot(dx, dy) < 2.0)
+    rates = (x[:, None] * t.mean[:, 1] + y[:, None] * t.mean[:, 4]) / np.hypot(x, y)[:, None]
+    rate = np.where(rng.random(300) < 0.1, np.nan, rates[np.arange(300), rng.integers(0, len(t), 300)])
+    beside = np.where(np.abs(rates - rate[:, None]) < 0.5, 2.0, 0.3)  # what moves alike is of the box
+    inside = (u < t.length_m / 2 + 0.7) & (w < t.width_m / 2 + beside) | (np.hypot(dx, dy) < 2.0)
 
-    covered = starting._covered(x, y, t.mean, t.heading_rad, t.length_m, t.width_m, (0.7, 0.3, 2.0))
+    covered = starting._covered(
+        x, y, rate, t.mean, t.heading_rad, t.length_m, t.width_m, (0.7, 0.3, 2.0, 2.0, 0.5)
+    )
 
     np.testing.assert_array_equal(covered, inside.any(axis=1))
     assert 10 < covered.sum() < 250

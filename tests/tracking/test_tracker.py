@@ -103,6 +103,26 @@ def test_a_truck_is_one_track_and_long(rng):
     assert outputs[-1].length_m[0] == pytest.approx(14.0, abs=1.5)
 
 
+def entering(rng, x, y, vy, *, length, points, view_from_m=18.0):
+    """Return the points of a vehicle that drives away, without those that are too near to be seen."""
+    rows = vehicle(rng, x, y, 0.0, vy, length=length, width=2.5, points=points)
+    u = rng.uniform(-length / 2, length / 2, points)  # seen from above: echoes of all its length
+    rows[:, 0] = np.hypot(np.hypot(x, y + u), 5.4) + rng.normal(0, 0.1, points)
+    rows[:, 1] = np.arctan2(x, y + u) + rng.normal(0, np.deg2rad(0.2), points)
+    return rows[np.hypot(x, y + u) > view_from_m]
+
+
+def test_a_truck_that_drives_into_the_view_from_below_is_one_track(rng):
+    frames = [frame(k, entering(rng, -4.0, 8.0 + 0.6 * k, 12.0, length=14.0, points=24)) for k in range(100)]
+
+    _, outputs = run(frames)
+
+    assert len(numbers(outputs)) == 1
+    assert all(len(e) == 1 for e in outputs[20:])
+    assert outputs[-1].length_m[0] == pytest.approx(14.0, abs=1.5)
+    assert outputs[-1].y_m[0] == pytest.approx(8.0 + 0.6 * 99, abs=1.0)
+
+
 def test_a_car_that_brakes_and_stands_is_kept(rng):
     y, v, frames = 100.0, -12.0, []
     for k in range(400):
