@@ -182,7 +182,7 @@ def paired(
 def traffic_rows(runs: int, seeds: range) -> list[dict[str, object]]:
     rows = []
     for accel_std, radar, defects, louder in TRAFFIC:
-        true = dataclasses.replace(scaled(radar, louder), **defects)
+        true = dataclasses.replace(radar.times(louder), **defects)
         space = plane(accel_std, doppler=radar.velocity_std_mps is not None)
         label = {
             "accel_std_mps2": accel_std, "doppler": radar.velocity_std_mps is not None,
@@ -203,7 +203,7 @@ def following_rows(runs: int, seeds: range) -> list[dict[str, object]]:
     rows = []
     for accel_std, radar, assumed, brake in FOLLOWING:
         doppler = radar.velocity_std_mps is not None
-        space, known = plane(accel_std, doppler=doppler), scaled(radar, assumed)
+        space, known = plane(accel_std, doppler=doppler), radar.times(assumed)
         label = {
             "accel_std_mps2": accel_std, "doppler": doppler, "assumed": assumed, "brake_mps2": brake,
         }  # fmt: skip
@@ -218,16 +218,6 @@ def following_rows(runs: int, seeds: range) -> list[dict[str, object]]:
         rows += [label | row for row in found]
         print(f"following: {label}", flush=True)
     return rows
-
-
-def scaled(radar: PointNoise, by: float) -> PointNoise:
-    velocity = radar.velocity_std_mps
-    return dataclasses.replace(
-        radar,
-        range_std_m=by * radar.range_std_m,
-        azimuth_std_rad=by * radar.azimuth_std_rad,
-        velocity_std_mps=None if velocity is None else by * velocity,
-    )
 
 
 def level_rows(runs: int) -> list[dict[str, object]]:

@@ -29,7 +29,8 @@ def compare(
     ],
     *,
     filters: Annotated[
-        str | None, typer.Option("--filters", metavar="NAME,...", help="Which. [default: every filter]")
+        str | None,
+        typer.Option("--filters", metavar="NAME,...", help="Such as astekf,ekf,imm. [default: every filter]"),
     ] = None,
     until_s: Annotated[
         float | None,

@@ -27,6 +27,7 @@ app = typer.Typer(
     name="wayside",
     help="Turn a roadside radar into a traffic monitor.",
     no_args_is_help=True,
+    rich_markup_mode="markdown",  # "rich" takes [default: ...] for markup and drops it
     pretty_exceptions_enable=False,
 )
 for command in (

@@ -26,11 +26,12 @@ SUMMARY = "reproduce.json"  # the last file to be written
 @one_sentence()
 def reproduce(
     papers: Annotated[
-        list[str] | None, typer.Argument(metavar="[PAPER]...", help="Which; none: all.")
+        list[str] | None,
+        typer.Argument(metavar="PAPER...", help="astekf, mast-ukf, isrckf, hpff; none: all four."),
     ] = None,
     *,
     runs: Annotated[
-        int | None, typer.Option(min=2, help="Monte-Carlo runs. [default: the paper's own command]")
+        int | None, typer.Option(min=2, help="Monte-Carlo runs. [default: by paper, 20 to 1000]")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal numbers.")] = 1,
     out: Annotated[

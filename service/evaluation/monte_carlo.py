@@ -28,7 +28,7 @@ class Runs:
 def run_filter(  # noqa: PLR0913 - one option a keyword
     chosen: Filter, z: F64, R: F64, dt_s: float, start: FilterState | None = None, *, with_nis: bool = False
 ) -> Runs:
-    """Return what the filter makes of measurements z (K, N, m) with one covariance R (m, m).
+    """Return what the filter makes of measurements z (K, N, m) with covariance R (m, m), or (N, m, m).
 
     A measurement of NaN is a miss. start: the tracks at frame 0; None for the two-point start of the road at
     frame 1.
@@ -39,7 +39,7 @@ def run_filter(  # noqa: PLR0913 - one option a keyword
     states = state.mean.shape[-1]
     mean, cov = np.full((frames, tracks, states), np.nan), np.full((frames, tracks, states, states), np.nan)
     mean[first], cov[first] = state.mean, state.cov
-    all_R, nis = np.broadcast_to(R, (tracks, 1, *R.shape)), np.full((frames, tracks), np.nan)
+    all_R, nis = np.broadcast_to(R, (tracks, *R.shape[-2:]))[:, None], np.full((frames, tracks), np.nan)
     for k in range(first + 1, frames):
         beta = np.isfinite(z[k, :, :1]).astype(np.float64)
         prediction = chosen.predict(state, dt_s)
@@ -51,7 +51,10 @@ def run_filter(  # noqa: PLR0913 - one option a keyword
 
 
 def innovation_squared(expected: Expected, z: F64, R: F64) -> F64:
-    """Return e' S^-1 e (N,) over the measured channels of z (N, m), NaN where there is none."""
+    """Return e' S^-1 e (N,) over the measured channels of z (N, m), NaN where there is none.
+
+    R: (m, m), or (N, m, m) of each measurement.
+    """
     e = z - expected.z_hat
     e[:, AZIMUTH] = wrap_angle(e[:, AZIMUTH])
     seen = np.isfinite(e)

@@ -69,7 +69,7 @@ def follow(  # noqa: PLR0913 - one option a keyword
 
     true: the noise of the first and last quarter; its variances are 4 and 9 times that in the others.
     """
-    truth, z = _drive(true, seed, runs, brake_mps2)
+    truth, z = _drives(true, seed, runs, brake_mps2)
     return errors_of(chosen, truth, z, assumed, FOLLOWING_PERIOD_S)
 
 
@@ -80,10 +80,10 @@ def estimated_levels(chosen: SpaceFilter, true: PointNoise, seed: int, runs: int
     """
     if not isinstance(chosen.adaptation, SafeEstimator):
         raise InvalidInput(f"{chosen.name} estimates no scale of R")
-    truth, z = _drive(true, seed, runs, 0.0)
+    truth, z = _drives(true, seed, runs, 0.0)
     channels = chosen.space.sensor.channels
     R = true.covariance()[:channels, :channels]
-    state, levels = _start(chosen, z, true, FOLLOWING_PERIOD_S), []
+    state, levels = plane_start(chosen, z, true.covariance(), FOLLOWING_PERIOD_S), []
     all_R = np.broadcast_to(R, (runs, 1, *R.shape))
     marks = np.cumsum([len(part) for part in np.array_split(truth, len(NOISE_LEVELS))]) - EARLIER
     for k in range(2, len(z)):
@@ -98,7 +98,7 @@ def errors_of(chosen: Filter, truth: F64, z: F64, assumed: PointNoise, dt_s: flo
     """Return the errors of a filter of the plane on truth (K, N, 6) and measurements z (K, N, 3)."""
     R, columns = assumed.covariance(), list(ROAD_COLUMNS)
     channels = 2 if assumed.velocity_std_mps is None else 3
-    start = _start(chosen, z, assumed, dt_s)
+    start = plane_start(chosen, z, R, dt_s)
     flown = run_filter(chosen, z[1:, :, :channels], R[:channels, :channels], dt_s, start, with_nis=True)
     error = (flown.mean - truth[1:][..., columns])[SETTLED:]
     far = np.hypot(error[-len(truth) // 10 :, :, 0], error[-len(truth) // 10 :, :, 2])
@@ -114,32 +114,32 @@ def errors_of(chosen: Filter, truth: F64, z: F64, assumed: PointNoise, dt_s: flo
     )
 
 
-def _drive(true: PointNoise, seed: int, runs: int, brake_mps2: float) -> tuple[F64, F64]:
-    """Return truth (K, runs, 6) and measurements (K, runs, 3) of drives behind another vehicle."""
-    rng = np.random.default_rng(seed)
-    truth = following(rng, runs, brake_mps2)
+def changing(truth: F64, noise: PointNoise, rng: np.random.Generator) -> F64:
+    """Return measurements (K, N, 3) with 1, 4, 9 and 1 times the variances, a quarter of the drive each.
+
+    Outliers and misses are those of the noise; the first two frames of each quarter have none.
+    """
     parts = np.array_split(truth, len(NOISE_LEVELS))
-    z = [measure(t, _louder(true, level), rng) for t, level in zip(parts, NOISE_LEVELS, strict=True)]
-    return truth, np.concatenate(z)
+    levels = zip(parts, NOISE_LEVELS, strict=True)
+    return np.concatenate([measure(part, noise.times(math.sqrt(level)), rng) for part, level in levels])
 
 
-def _start(chosen: Filter, z: F64, assumed: PointNoise, dt_s: float) -> FilterState:
-    """Return tracks of the plane at the second frame, started from the first two."""
-    all_R = np.broadcast_to(assumed.covariance(), (z.shape[1], 3, 3))
+def plane_start(chosen: Filter, z: F64, R: F64, dt_s: float) -> FilterState:
+    """Return tracks of the plane, [x vx y vy], at the second frame of z (K, N, 3), from the first two.
+
+    R: (3, 3), or (N, 3, 3) of each track.
+    """
+    all_R = np.broadcast_to(R, (z.shape[1], 3, 3))
     mean, cov = two_point_state(z[0], all_R, z[1], all_R, dt_s=dt_s, prior=undirected_prior())
     columns = list(ROAD_COLUMNS)
     return chosen.start(mean[:, columns], cov[:, columns][:, :, columns])
 
 
-def _louder(noise: PointNoise, level: float) -> PointNoise:
-    """Return the noise with `level` times its variances."""
-    by, velocity = math.sqrt(level), noise.velocity_std_mps
-    return replace(
-        noise,
-        range_std_m=by * noise.range_std_m,
-        azimuth_std_rad=by * noise.azimuth_std_rad,
-        velocity_std_mps=None if velocity is None else by * velocity,
-    )
+def _drives(true: PointNoise, seed: int, runs: int, brake_mps2: float) -> tuple[F64, F64]:
+    """Return truth (K, runs, 6) and measurements (K, runs, 3) of drives behind another vehicle."""
+    rng = np.random.default_rng(seed)
+    truth = following(rng, runs, brake_mps2)
+    return truth, changing(truth, true, rng)
 
 
 def mean_errors(

@@ -6,7 +6,7 @@ For whole scenes with clutter, shadows and extended vehicles this is not meant.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,16 @@ class PointNoise:
         """Return R (3, 3); without Doppler its last variance is 1 and means nothing."""
         velocity = 1.0 if self.velocity_std_mps is None else self.velocity_std_mps
         return np.diag(np.square([self.range_std_m, self.azimuth_std_rad, velocity]))
+
+    def times(self, by: float) -> PointNoise:
+        """Return the noise with `by` times its standard deviations."""
+        velocity = self.velocity_std_mps
+        return replace(
+            self,
+            range_std_m=by * self.range_std_m,
+            azimuth_std_rad=by * self.azimuth_std_rad,
+            velocity_std_mps=None if velocity is None else by * velocity,
+        )
 
 
 def measure(truth: F64, noise: PointNoise, rng: np.random.Generator) -> F64:

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import typer.rich_utils
 
 from service.evaluation.reproduce import mast
 
@@ -55,3 +56,12 @@ def test_what_is_wrong_is_told_in_a_sentence(run, arguments, sentence):
     result = run("reproduce", *arguments, code=2)
 
     assert sentence in result.stderr
+
+
+def test_help_names_the_papers_and_the_defaults(run, monkeypatch):
+    monkeypatch.setattr(typer.rich_utils, "MAX_WIDTH", 200)
+    text = " ".join(run("reproduce", "--help").stdout.replace("│", " ").split())
+
+    assert "astekf, mast-ukf, isrckf, hpff; none: all." in text
+    assert "[default: by paper, 20 to 1000]" in text
+    assert "[default: if matplotlib is installed]" in text
