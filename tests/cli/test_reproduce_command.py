@@ -62,6 +62,6 @@ def test_help_names_the_papers_and_the_defaults(run, monkeypatch):
     monkeypatch.setattr(typer.rich_utils, "MAX_WIDTH", 200)
     text = " ".join(run("reproduce", "--help").stdout.replace("│", " ").split())
 
-    assert "astekf, mast-ukf, isrckf, hpff; none: all." in text
+    assert "astekf, mast-ukf, isrckf, hpff; none: all four." in text
     assert "[default: by paper, 20 to 1000]" in text
     assert "[default: if matplotlib is installed]" in text
