@@ -1,12 +1,12 @@
 """Hold every filter against its bars on simulated vehicles, and print and keep the numbers.
 
     python -m benchmarks.filter_bars [--part suite,traffic,following,hostile,braking] [--runs N] [--seeds N]
-        [--scans N] [--json docs/measured/filters.json]
+        [--scans N] [--json docs/measured/filter_bars.json]
 
-suite: the road manoeuvres of the ASTEKF study, all filters, four kinds of radar. traffic: the unscented
-filters against a plain UKF. following: the cubature filters behind another vehicle. hostile: scans that no
-radar should send. braking: 200 vehicles that brake with 9 m/s^2. The defaults take about five minutes of one
-core.
+suite: the road manoeuvres of the ASTEKF study, all filters, four kinds of radar, with standard errors over
+the seeds. traffic: the unscented filters against a plain UKF. following: the cubature filters behind another
+vehicle. hostile: scans that no radar should send. braking: 200 vehicles that brake with 9 m/s^2. The defaults
+take about seven minutes of one core.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from service.evaluation.monte_carlo import (
     run_filter,
 )
 from service.evaluation.report import Grid, markdown
+from service.evaluation.reproduce.form import mean_and_error
 from service.evaluation.traffic_study import (
     CAR_DOPPLER,
     CAR_RADAR,
@@ -46,6 +47,7 @@ from service.simulation.point_radar import PointNoise, measure
 from service.tracking.filters.cubature import isrckf, sh_ekf, srckf
 from service.tracking.filters.mast_ukf import mast_ukf
 from service.tracking.filters.parameters import (
+    POINT_FILTERS,
     MastUkfParameters,
     SageHusaParameters,
     SrckfParameters,
@@ -104,58 +106,79 @@ FOLLOWING = (  # standard deviation of the acceleration, radar, assumed noise, b
 )
 
 
-def suite(runs: int) -> list[dict[str, object]]:
-    """Return position and velocity errors of every filter, kind of radar and manoeuvre."""
+def suite(runs: int, seeds: range) -> list[dict[str, object]]:
+    """Return position and velocity errors of every filter, kind of radar and manoeuvre, by seed."""
     names = list(MANOEUVRES)
     truth = np.concatenate([np.repeat(MANOEUVRES[n]()[:, None], runs, axis=1) for n in names], axis=1)
     rows: list[dict[str, object]] = []
     for cell, noise in CELLS.items():
-        z = measure(truth, noise, np.random.default_rng(31))
+        scans = {seed: measure(truth, noise, np.random.default_rng(seed)) for seed in seeds}
         for name in filter_names():
-            flown = run_filter(make_filter(name), z, noise.covariance(), PERIOD_S)
-            for i, manoeuvre in enumerate(names):
-                part = slice(i * runs, (i + 1) * runs)
-                own, exact = Runs(flown.mean[:, part], flown.cov[:, part]), truth[:, part]
-                position_m, velocity_mps = position_and_velocity_rmse(own, exact, AFTER)
-                rows.append({
-                    "radar": cell, "filter": name, "manoeuvre": manoeuvre, "position_m": position_m,
-                    "velocity_mps": velocity_mps, "lost": int(lost(own, exact).sum()),
-                    "nees": float(error_squared(own, exact, AFTER).mean()),
-                })  # fmt: skip
+            for seed, z in scans.items():
+                flown = run_filter(make_filter(name, POINT_FILTERS), z, noise.covariance(), PERIOD_S)
+                for i, manoeuvre in enumerate(names):
+                    part = slice(i * runs, (i + 1) * runs)
+                    own, exact = Runs(flown.mean[:, part], flown.cov[:, part]), truth[:, part]
+                    position_m, velocity_mps = position_and_velocity_rmse(own, exact, AFTER)
+                    rows.append({
+                        "radar": cell, "filter": name, "manoeuvre": manoeuvre, "seed": seed,
+                        "position_m": position_m, "velocity_mps": velocity_mps,
+                        "lost": int(lost(own, exact).sum()),
+                        "nees": float(error_squared(own, exact, AFTER).mean()),
+                    })  # fmt: skip
             print(f"suite: {cell}, {name}", flush=True)
     return rows
 
 
-def suite_table(rows: list[dict[str, object]]) -> Grid:
-    """Return geometric means over the suite, and how far each filter is from the best.
+Key = tuple[str, str, str]  # radar, manoeuvre, filter
 
-    A filter's distance is the geometric mean of position and velocity over that of the best filter; the worst
-    is that of the one manoeuvre and radar where it is farthest.
+
+def by_seed(rows: list[dict[str, object]]) -> dict[Key, list[float]]:
+    """Return the geometric mean of position and velocity error in each cell of the suite, for each seed."""
+    out: dict[Key, list[float]] = {}
+    for r in rows:
+        if r["manoeuvre"] in SUITE:
+            key = (str(r["radar"]), str(r["manoeuvre"]), str(r["filter"]))
+            out.setdefault(key, []).append(math.sqrt(float(r["position_m"]) * float(r["velocity_mps"])))
+    return out
+
+
+def behind(joint: dict[Key, list[float]], name: str) -> tuple[float, float, float, float, str]:
+    """Return how far a filter is behind the best, with standard errors over the seeds.
+
+    First over the whole suite, in geometric mean, and then in the one manoeuvre and radar where it is
+    farthest, which is named last.
     """
-    joint = {
-        (r["radar"], r["manoeuvre"], r["filter"]): math.sqrt(r["position_m"] * r["velocity_mps"])
-        for r in rows
-        if r["manoeuvre"] in SUITE
-    }
-    overall = {n: geometric([v for (_, _, who), v in joint.items() if who == n]) for n in filter_names()}
-    best = min(overall.values())
-    out = []
+    names = list(dict.fromkeys(key[2] for key in joint))
+    cells = list(dict.fromkeys(key[:2] for key in joint))
+    logs = {key: np.log(values) for key, values in joint.items()}
+    suites = {n: np.mean([logs[(*cell, n)] for cell in cells], axis=0) for n in names}
+    first = min(suites, key=lambda n: float(suites[n].mean()))
+    whole = mean_and_error(np.exp(suites[name] - suites[first]).tolist())
+    worst = (-math.inf, math.nan, "")
+    for cell in cells:
+        best = min(names, key=lambda n, cell=cell: float(logs[(*cell, n)].mean()))
+        ratio, error = mean_and_error(np.exp(logs[(*cell, name)] - logs[(*cell, best)]).tolist())
+        worst = max(worst, (ratio, error, f"{cell[1]}, {cell[0]}"))
+    return (*whole, *worst)
+
+
+def suite_table(rows: list[dict[str, object]]) -> Grid:
+    """Return geometric means over the suite, and how far each filter is from the best (`behind`)."""
+    joint, out = by_seed(rows), []
     for name in filter_names():
         own = [r for r in rows if r["filter"] == name and r["manoeuvre"] in SUITE]
         means = [
             "/".join(
-                f"{geometric([r[key] for r in own if r['radar'] == cell]):.3f}"
+                f"{geometric([float(r[key]) for r in own if r['radar'] == cell]):.3f}"
                 for key in ("position_m", "velocity_mps")
             )
             for cell in CELLS
         ]
-        worst, where = max(
-            (joint[cell, m, name] / min(joint[cell, m, who] for who in filter_names()), f"{m}, {cell}")
-            for cell in CELLS
-            for m in SUITE
-        )
+        whole, whole_error, worst, worst_error, where = behind(joint, name)
         lost_here = sum(int(r["lost"]) for r in rows if r["filter"] == name)
-        out.append((name, *means, f"{overall[name] / best:.3f}", f"{worst:.2f}", where, str(lost_here)))
+        far = f"{worst:.2f} +- {worst_error:.2f}"
+        out.append((name, *means, f"{whole:.3f} +- {whole_error:.3f}", far, where, str(lost_here)))
     return Grid(("filter", *CELLS, "of the best", "worst", "where", "lost"), tuple(out))
 
 
@@ -238,7 +261,7 @@ def braking_rows() -> list[dict[str, object]]:
         truth = np.repeat(braking(9.0)[:, None], 200, axis=1)
         z = measure(truth, noise, np.random.default_rng(51))
         for name in filter_names():
-            runs = run_filter(make_filter(name), z, noise.covariance(), PERIOD_S)
+            runs = run_filter(make_filter(name, POINT_FILTERS), z, noise.covariance(), PERIOD_S)
             position_m, velocity_mps = position_and_velocity_rmse(runs, truth, AFTER)
             rows.append({
                 "radar": cell, "filter": name, "lost": int(lost(runs, truth).sum()), "of": 200,
@@ -275,7 +298,7 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(100, 100 + options.seeds)
     parts: dict[str, Callable[[], list[dict[str, object]]]] = {
-        "suite": lambda: suite(options.runs),
+        "suite": lambda: suite(options.runs, seeds),
         "traffic": lambda: traffic_rows(options.runs, seeds),
         "following": lambda: following_rows(options.runs, seeds),
         "levels": lambda: level_rows(options.runs),

@@ -63,12 +63,12 @@ def lane_change(width_m: float = 3.5, over_s: float = 4.0, speed_mps: float = 13
     return integrate(_start(-4.0, 190.0, speed_mps), profile)
 
 
-def stop_and_go() -> F64:
+def stop_and_go(brake_mps2: float = 3.0, pull_mps2: float = 2.5) -> F64:
     """Return a vehicle that brakes to a standstill, waits, drives off, and brakes again."""
 
     def profile(t: float) -> tuple[float, float]:
-        brake = 3.0 * (_within(t, 1.0, 1.0 + 10.0 / 3.0) + _within(t, 10.5, 12.5))
-        return 0.0, brake - 2.5 * _within(t, 6.5, 10.0)
+        brake = brake_mps2 * (_within(t, 1.0, 1.0 + 10.0 / brake_mps2) + _within(t, 10.5, 12.5))
+        return 0.0, brake - pull_mps2 * _within(t, 6.5, 10.0)
 
     return integrate(_start(-4.0, 100.0, 10.0), profile)
 
