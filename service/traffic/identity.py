@@ -12,6 +12,7 @@ from service.tracking.model import F64
 from service.traffic.curves import along, beside, headings
 from service.traffic.learning import Learned
 from service.traffic.model import MOST_LANES, Direction, Lane
+from service.traffic.steps import CALL_WORK, Steps
 
 _FAR_M = 1e3  # cost of lanes that are not the same
 
@@ -41,9 +42,13 @@ class MapDifference:
         return bool(self.added or self.removed or self.moved or self.resized)
 
 
-def named(found: Sequence[Learned], before: Sequence[Lane], p: IdentityParameters) -> tuple[Lane, ...]:
+def named(found: Sequence[Learned], before: Sequence[Lane], p: IdentityParameters) -> Steps[tuple[Lane, ...]]:
     """Return the lanes with the numbers of the same lanes before, and new numbers for new ones."""
-    cost = np.array([[_apart(new.points_m, old.points_m, p) for old in before] for new in found])
+    rows_of_cost = []
+    for new in found:
+        rows_of_cost.append([_apart(new.points_m, old.points_m, p) for old in before])
+        yield len(before) * CALL_WORK
+    cost = np.array(rows_of_cost)
     known: dict[int, int] = {}
     if cost.size:
         rows, columns = linear_sum_assignment(cost)

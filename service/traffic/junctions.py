@@ -9,6 +9,7 @@ import numpy as np
 
 from service.tracking.model import F64, Bool
 from service.traffic.curves import along, beside, headings, resample
+from service.traffic.steps import CALL_WORK, Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +35,15 @@ class Piece:
     turn: bool
 
 
-def pieces(lanes: list[F64], p: JunctionParameters) -> list[list[Piece]]:
+def pieces(lanes: list[F64], p: JunctionParameters) -> Steps[list[list[Piece]]]:
     """Return the pieces of each lane (P, 2); a lane that nothing crosses is one piece."""
     fine = [resample(lane, p.step_m) for lane in lanes]
-    return [_cut(fine[k], _crossed(fine, k, p), p) for k in range(len(fine))]
+    total = sum(len(lane) for lane in fine)
+    found = []
+    for k, lane in enumerate(fine):
+        found.append(_cut(lane, _crossed(fine, k, p), p))
+        yield len(lane) * total + len(fine) * CALL_WORK
+    return found
 
 
 def _crossed(fine: list[F64], k: int, p: JunctionParameters) -> Bool:

@@ -14,7 +14,9 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import linear_sum_assignment
 
 from service.tracking.model import F64, I64, Bool
+from service.traffic.steps import Steps
 
+_PEAKS_WORK, _CHAIN_WORK = 150_000, 20_000  # of a window: a third of a millisecond, and a tenth of that
 _TREND = 3  # windows whose offsets tell where a line goes on; and the fewest that have a second difference
 
 
@@ -91,10 +93,14 @@ def offsets(path: I64, along_m: F64, right_m: F64, middles: F64, p: LineParamete
     return np.where(straight & (np.abs(offset) < p.reach_m), offset, np.nan)
 
 
-def lane_lines(offset: F64, middles: F64, p: LineParameters) -> list[Line]:
+def lane_lines(offset: F64, middles: F64, p: LineParameters) -> Steps[list[Line]]:
     """Return the lane lines that offsets (K, W) in windows at `middles` (W,) tell of, from left to right."""
-    peaks = [_peaks(offset, w, p) for w in range(len(middles))]
+    peaks = []
+    for w in range(len(middles)):
+        peaks.append(_peaks(offset, w, p))
+        yield _PEAKS_WORK
     chains = _chains(peaks, p)
+    yield len(middles) * _CHAIN_WORK
     least = max(p.paths_min, p.paths_share * float(np.isfinite(offset).any(axis=1).sum()))
     lines = [_line(chain, offset, middles, p) for chain in chains if len(chain) >= p.windows_min]
     kept = [line for line in lines if line is not None and line.paths >= least]

@@ -19,8 +19,10 @@ from service.traffic.evidence import Evidence
 from service.traffic.junctions import JunctionParameters, pieces
 from service.traffic.lane_lines import Line, LineParameters, lane_lines, offsets
 from service.traffic.reference import ReferenceParameters, course, follows
+from service.traffic.steps import CALL_WORK, Steps
 
 _FEWEST = 2  # points of a line
+_LINE_WORK = 20  # of a point beside a line, in pairs of a point and a piece of a curve
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class Learned:
     turn: bool = False
 
 
-def learn(evidence: Evidence, p: LearningParameters) -> list[Learned]:
+def learn(evidence: Evidence, p: LearningParameters) -> Steps[list[Learned]]:
     """Return the lanes that the evidence tells of."""
     points = np.column_stack([evidence.x_m, evidence.y_m]).astype(np.float64)
     heading = evidence.heading_rad.astype(np.float64)
@@ -64,20 +66,25 @@ def learn(evidence: Evidence, p: LearningParameters) -> list[Learned]:
         if leader is None or len(leader) < _FEWEST or along(points[leader])[-1] < p.run_m:
             break
         index = np.flatnonzero(left)
-        curve = course(points[index], heading[index], points[leader], p.reference)
+        curve = yield from course(points[index], heading[index], points[leader], p.reference)
         place = beside(points[index], curve)
         mine = follows(place, heading[index], p.reference)
         left[leader] = False
         left[index[mine]] = False
         mine_at = index[mine]
-        lanes += _lanes_beside(curve, evidence.path[mine_at], place.along_m[mine], place.right_m[mine], p)
-    return _in_pieces(_once(lanes, p), p)
+        yield len(index) * len(curve)
+        lanes += yield from _lanes_beside(
+            curve, evidence.path[mine_at], place.along_m[mine], place.right_m[mine], p
+        )
+    lanes = yield from _once(lanes, p)
+    return (yield from _in_pieces(lanes, p))
 
 
-def _in_pieces(lanes: list[Learned], p: LearningParameters) -> list[Learned]:
+def _in_pieces(lanes: list[Learned], p: LearningParameters) -> Steps[list[Learned]]:
     """Return the lanes cut at junctions."""
     out = []
-    for lane, parts in zip(lanes, pieces([lane.points_m for lane in lanes], p.junctions), strict=True):
+    cut = yield from pieces([lane.points_m for lane in lanes], p.junctions)
+    for lane, parts in zip(lanes, cut, strict=True):
         length = along(lane.points_m)
         for part in parts:
             count = max(round((part.end_m - part.start_m) / p.point_step_m), 1) + 1
@@ -99,7 +106,9 @@ def _longest_run(path: I64, left: Bool) -> I64 | None:
     return index[bounds[longest] : bounds[longest + 1]]
 
 
-def _lanes_beside(curve: F64, path: I64, along_m: F64, right_m: F64, p: LearningParameters) -> list[Learned]:
+def _lanes_beside(
+    curve: F64, path: I64, along_m: F64, right_m: F64, p: LearningParameters
+) -> Steps[list[Learned]]:
     _, number = np.unique(path, return_inverse=True)
     if not len(number):
         return []
@@ -107,13 +116,15 @@ def _lanes_beside(curve: F64, path: I64, along_m: F64, right_m: F64, p: Learning
     first = math.floor(along_m.min() / window)
     middles = (np.arange(first, math.ceil(along_m.max() / window)) + 0.5) * window
     offset = offsets(number, along_m, right_m, middles, p.lines)
-    lines = lane_lines(offset, middles, p.lines)
+    yield len(number) * len(curve)
+    lines = yield from lane_lines(offset, middles, p.lines)
     lanes = []
     for k, line in enumerate(lines):
         ends = _ends(line, number, along_m, right_m, p)
         lane = _lane(curve, line, ends, _widths(lines, k, p), p)
         if lane.confidence >= p.confidence:
             lanes.append(lane)
+        yield len(number) * _LINE_WORK
     return lanes
 
 
@@ -163,7 +174,7 @@ def _lane(curve: F64, line: Line, ends: tuple[float, float], width: F64, p: Lear
     return Learned(points, np.interp(where, line.along_m, width), confidence, line.paths)
 
 
-def _once(lanes: list[Learned], p: LearningParameters) -> list[Learned]:
+def _once(lanes: list[Learned], p: LearningParameters) -> Steps[list[Learned]]:
     """Return the lanes without those that lie on one found before them."""
     kept: list[Learned] = []
     for lane in lanes:
@@ -175,4 +186,5 @@ def _once(lanes: list[Learned], p: LearningParameters) -> list[Learned]:
             double |= ~place.beyond & same & (np.abs(place.right_m) < p.twice_m)
         if double.mean() < p.twice_share:
             kept.append(lane)
+        yield len(kept) * CALL_WORK
     return kept

@@ -1,7 +1,7 @@
 """Keep the lane map of a sensor: gather evidence, learn anew on a schedule, and put a map into force.
 
-A map learned from the state at one frame comes into force a fixed number of frames later, so that the
-learning may take its time and every replay meets it at the same frame. While the map is young the vehicles
+A map learned from the state at one frame comes into force a fixed number of frames later: it is learned in
+steps on the frames between, and every replay meets it at the same frame. While the map is young the vehicles
 that have gone are kept, so that they can be traced back when it comes and whenever it gains a lane.
 """
 
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, replace
+from typing import Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from service.traffic.evidence import Evidence, EvidenceParameters, add, latest, 
 from service.traffic.identity import IdentityParameters, difference, named
 from service.traffic.learning import LearningParameters, learn
 from service.traffic.model import NO_MAP, Lane, LaneChange, LaneDrift, LaneMap, Moment, Trajectory
+from service.traffic.steps import Progress, Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +32,32 @@ class MappingParameters:
     young_paths: int = 120
     paths_min: int = 8
     ready_after: int = 40  # frames from the state that is learned from to the map in force
+    work_a_frame: int = 400_000  # pairs of a point and a piece of a curve: a millisecond; the rest at the end
     backlog: int = 200  # paths kept while the map is young
     same_change_s: float = 2.0  # changes of one vehicle nearer than this are one
     cover_first: float = 0.85  # of the evidence that must lie in the lanes of a first map ...
     cover_last: float = 0.3  # ... falling to this when there are `young_paths`
     near_m: float = 1.5  # of a lane's middle
     confidence: float = 0.6  # of a lane that is new; one that the map has stays down to learning.confidence
+
+
+class Learning(Protocol):
+    """The parameters that tell what is learned from evidence."""
+
+    @property
+    def learning(self) -> LearningParameters:
+        """How lanes are learned."""
+        ...
+
+    @property
+    def identity(self) -> IdentityParameters:
+        """When two lanes are the same."""
+        ...
+
+    @property
+    def mapping(self) -> MappingParameters:
+        """When lanes are learned."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +73,19 @@ class Mapping:
     slot: int  # of the schedule in which lanes were last looked for; -1: look at once
     learned_paths: int  # had come when lanes were last learned
     given_key: int  # of the user's lanes that were put into force, 0: none
-    coming: LaneMap | None
-    coming_at: int  # frames
+    coming: tuple[Lane, ...] | None  # of the epoch before, for the first frame of this one
+    study: Study | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class Study:
+    """What lanes are being learned from. The same object until its answer is due: the steps go with it."""
+
+    evidence: Evidence
+    before: tuple[Lane, ...]  # of the map in force
+    digest: str  # of the parameters
+    begun: int  # frames
+    due: int  # frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,28 +96,58 @@ class Given:
     key: int  # tells one set of lanes from another; 0: none
 
 
+# How far each study has come, as long as somebody holds it. It saves work and changes no answer: the steps
+# of a study that is not found, such as one read from a snapshot, are taken again.
+_UNDER_WAY: WeakKeyDictionary[Study, Progress[tuple[Lane, ...]]] = WeakKeyDictionary()
+
+
 def no_mapping() -> Mapping:
     """Return the state before the first frame."""
-    return Mapping(NO_MAP, no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, 0)
+    return Mapping(NO_MAP, no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, None)
 
 
 def begun_anew(mapping: Mapping) -> Mapping:
     """Return the state at the start of a new epoch: the same lanes come into force with its first frame."""
-    coming = mapping.map if mapping.map.lanes else mapping.coming
-    fresh = replace(no_mapping(), evidence=mapping.evidence, learned_paths=mapping.learned_paths)
-    return replace(fresh, coming=coming, drift=mapping.drift)
+    fresh = replace(no_mapping(), evidence=mapping.evidence, drift=mapping.drift)
+    if mapping.map.lanes:
+        return replace(fresh, coming=mapping.map.lanes, learned_paths=mapping.learned_paths)
+    return replace(fresh, coming=mapping.coming)
 
 
-def begin(mapping: Mapping, moment: Moment, given: Given) -> Mapping:
-    """Return the state at a frame, with the map that is in force from it on."""
+def begin(mapping: Mapping, moment: Moment, given: Given, p: Learning, digest: str) -> Mapping:
+    """Return the state at a frame, with the map that is in force from it on.
+
+    digest: of the parameters; lanes that are being learned by others are not learned to the end.
+    """
     mapping = replace(mapping, frames=mapping.frames + 1)
     if given.key != mapping.given_key:
-        mapping = replace(mapping, given_key=given.key, coming=None, slot=-1, learned_paths=0)
+        mapping = replace(mapping, given_key=given.key, coming=None, study=None, slot=-1, learned_paths=0)
         if given.lanes is not None:
             return _in_force(mapping, moment, given.lanes, "user")
-    if mapping.coming is None or mapping.frames < mapping.coming_at:
+    if mapping.coming is not None:
+        return _in_force(mapping, moment, mapping.coming, "learned")
+    if mapping.study is None:
         return mapping
-    return _in_force(mapping, moment, mapping.coming.lanes, "learned")
+    if mapping.study.digest != digest:
+        return replace(mapping, study=None, learned_paths=0)
+    return _study(mapping, mapping.study, moment, p)
+
+
+def _study(mapping: Mapping, study: Study, moment: Moment, p: Learning) -> Mapping:
+    """Return the state after a few more steps, and with the map that has been learned when it is due."""
+    progress = _UNDER_WAY.pop(study, None) or Progress(lanes_in_steps(study.evidence, study.before, p))
+    if mapping.frames < study.due:
+        progress.go_on((mapping.frames - study.begun) * p.mapping.work_a_frame)
+        _UNDER_WAY[study] = progress
+        return mapping
+    lanes = progress.answer()
+    mapping = replace(mapping, study=None)
+    if not difference(study.before, lanes, p.identity):
+        return mapping
+    wanted = 0.0 if mapping.map.version else _wanted_cover(study.evidence, p.mapping)
+    if wanted and covered(study.evidence, lanes, p.mapping.near_m) < wanted:
+        return mapping
+    return _in_force(mapping, moment, lanes, "learned")
 
 
 def _in_force(mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source: str) -> Mapping:
@@ -142,33 +206,22 @@ def told_once(
     return mapping, fresh
 
 
-def look(  # noqa: PLR0913, PLR0917 - one group of parameters a stage
-    mapping: Mapping,
-    moment: Moment,
-    sensor_id: str,
-    learning_p: LearningParameters,
-    identity_p: IdentityParameters,
-    p: MappingParameters,
-) -> Mapping:
-    """Return the state with a map on its way when lanes are due to be learned and have become others."""
+def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters, digest: str) -> Mapping:
+    """Return the state with lanes being learned, where that is due and there is something new to tell."""
     come = mapping.evidence.next_path - 1
     young = len(mapping.evidence.paths) < p.young_paths
     period_us = round(1e6 * (p.young_every_s if young else p.every_s))
     slot = (moment.time_us + zlib.crc32(sensor_id.encode()) % period_us) // period_us
-    due = slot != mapping.slot and mapping.slot >= 0
+    if slot == mapping.slot:
+        return mapping
+    due = mapping.slot >= 0
     mapping = replace(mapping, slot=slot)
-    if not due or mapping.given_key or mapping.coming is not None:
+    if not due or mapping.given_key or mapping.study is not None:
         return mapping
     if len(mapping.evidence.paths) < p.paths_min or come == mapping.learned_paths:
         return mapping
-    lanes = lanes_now(mapping, learning_p, identity_p, p)
-    mapping = replace(mapping, learned_paths=come)
-    if not difference(mapping.map.lanes, lanes, identity_p):
-        return mapping
-    if not mapping.map.version and covered(mapping.evidence, lanes, p.near_m) < _wanted_cover(mapping, p):
-        return mapping
-    coming = LaneMap(0, moment.time_us, moment.frame, len(mapping.evidence.paths), "learned", lanes)
-    return replace(mapping, coming=coming, coming_at=mapping.frames + p.ready_after)
+    study = Study(mapping.evidence, mapping.map.lanes, digest, mapping.frames, mapping.frames + p.ready_after)
+    return replace(mapping, learned_paths=come, study=study)
 
 
 def covered(evidence: Evidence, lanes: tuple[Lane, ...], near_m: float) -> float:
@@ -181,20 +234,18 @@ def covered(evidence: Evidence, lanes: tuple[Lane, ...], near_m: float) -> float
     return float(inside.mean()) if len(inside) else 0.0
 
 
-def _wanted_cover(mapping: Mapping, p: MappingParameters) -> float:
+def _wanted_cover(evidence: Evidence, p: MappingParameters) -> float:
     """Return how much of the evidence a first map must explain: part of a road would mislead."""
-    old = min(len(mapping.evidence.paths) / p.young_paths, 1.0)
+    old = min(len(evidence.paths) / p.young_paths, 1.0)
     return p.cover_first + old * (p.cover_last - p.cover_first)
 
 
-def lanes_now(
-    mapping: Mapping, learning_p: LearningParameters, identity_p: IdentityParameters, p: MappingParameters
-) -> tuple[Lane, ...]:
-    """Return the lanes that the evidence of now tells of, with the numbers that they have in the map."""
-    before = mapping.map.lanes
+def lanes_in_steps(evidence: Evidence, before: tuple[Lane, ...], p: Learning) -> Steps[tuple[Lane, ...]]:
+    """Return the lanes that the evidence tells of, with the numbers that they have in the map before."""
     known = {lane.index for lane in before}
-    found = named(learn(mapping.evidence, learning_p), before, identity_p)
-    kept = [lane for lane in found if lane.index in known or lane.confidence >= p.confidence]
+    learned = yield from learn(evidence, p.learning)
+    found = yield from named(learned, before, p.identity)
+    kept = [lane for lane in found if lane.index in known or lane.confidence >= p.mapping.confidence]
     return _numbered_again(kept, known)
 
 

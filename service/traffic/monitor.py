@@ -20,6 +20,7 @@ from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, 
 from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
+from service.traffic.steps import at_once
 from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, no_vehicles
 
 
@@ -73,9 +74,7 @@ def step(
     if finished:
         mapping, drift = lane_mapping.gather(mapping, finished, p.evidence, p.drift, p.mapping)
     if not moment.tick:
-        mapping = lane_mapping.look(
-            mapping, moment, setup.config.sensor_id, p.learning, p.identity, p.mapping
-        )
+        mapping = lane_mapping.look(mapping, moment, setup.config.sensor_id, p.mapping, setup.digest)
     state = TrafficState(mapping, state.chart, vehicles, paths, counts)
     return state, estimates, Outputs(finished, changes, found, drift, counted)
 
@@ -90,7 +89,7 @@ def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
     p, mapping = setup.parameters, state.mapping
     if mapping.given_key or len(mapping.evidence.paths) < p.mapping.paths_min:
         return mapping.map
-    lanes = lane_mapping.lanes_now(mapping, p.learning, p.identity, p.mapping)
+    lanes = at_once(lane_mapping.lanes_in_steps(mapping.evidence, mapping.map.lanes, p))
     return replace(mapping.map, vehicles=len(mapping.evidence.paths), lanes=lanes)
 
 
@@ -101,7 +100,7 @@ def _map_in_force(
     if moment.tick:
         return state, None, ()
     before = state.mapping
-    mapping = lane_mapping.begin(before, moment, setup.given)
+    mapping = lane_mapping.begin(before, moment, setup.given, setup.parameters, setup.digest)
     state = replace(state, mapping=mapping)
     if mapping.map is before.map:
         return state, None, ()

@@ -56,6 +56,7 @@ class TrafficSetup:
     config: SensorConfig
     given: Given  # lanes of that configuration
     lines: tuple[Line, ...]  # its count lines
+    digest: str  # of the parameters
 
     @property
     def travel_heading_rad(self) -> float | None:
@@ -76,4 +77,4 @@ def traffic_setup(config: SensorConfig) -> TrafficSetup:
             except InvalidInput as error:
                 raise InvalidInput.at(f"/{key}", error.errors[0].reason) from None
     given = given_lanes(config.lanes, parameters.identity)
-    return TrafficSetup(parameters, config, given, lines_of(config.count_lines))
+    return TrafficSetup(parameters, config, given, lines_of(config.count_lines), parameters.digest())

@@ -14,6 +14,7 @@ import numpy as np
 from service.tracking.model import F64, Bool
 from service.traffic.curves import Beside, along, beside, headings, resample, wrap
 from service.traffic.lane_lines import smoothed
+from service.traffic.steps import Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ def follows(place: Beside, heading_rad: F64, p: ReferenceParameters) -> Bool:
     return np.asarray(~place.beyond & near & (angle < math.radians(p.parallel_deg)))
 
 
-def course(points_m: F64, heading_rad: F64, leader_m: F64, p: ReferenceParameters) -> F64:
+def course(points_m: F64, heading_rad: F64, leader_m: F64, p: ReferenceParameters) -> Steps[F64]:
     """Return the course (K, 2) of the road along which the leader path (P, 2) drives.
 
     points_m (N, 2) with heading_rad (N,): all paths, those of other roads too.
@@ -48,6 +49,7 @@ def course(points_m: F64, heading_rad: F64, leader_m: F64, p: ReferenceParameter
         if not mine.any():
             return curve
         curve = _turned(curve, place, heading_rad, mine, p)
+        yield len(points_m) * len(curve)
     return curve
 
 

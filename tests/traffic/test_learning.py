@@ -4,11 +4,19 @@ import numpy as np
 import pytest
 
 from service.traffic.curves import at, beside, headings
-from service.traffic.learning import LearningParameters, learn
+from service.traffic.learning import LearningParameters
+from service.traffic.learning import learn as learn_in_steps
+from service.traffic.steps import at_once
 from tests.traffic.roads import arc, drive, evidence_of, s_curve, straight
 
 SPACING_M = 3.5
 P = LearningParameters()
+
+
+def learn(evidence, parameters):
+    return at_once(learn_in_steps(evidence, parameters))
+
+
 ROADS = {
     "straight": (straight(), (-3.5, 0.0, 3.5), ()),
     "two ways": (straight(), (3.5, 7.0), (-3.5, -7.0)),

@@ -9,8 +9,10 @@ from service.formats.sensor import GivenLane, LaneControl, SensorConfig
 from service.tracking import snapshot
 from service.tracking.model import TrackEstimates
 from service.traffic import monitor
+from service.traffic.mapping import lanes_in_steps
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
+from service.traffic.steps import Progress, at_once
 from tests.traffic.tracks import FRAME_US, START_US, estimates
 
 SETUP = traffic_setup(SensorConfig(sensor_id="radar-1"))
@@ -89,14 +91,68 @@ def test_a_change_before_the_first_map_is_found_when_the_map_comes(minute):
 
 def test_a_map_comes_into_force_a_fixed_number_of_frames_after_the_state_it_was_learned_from(minute):
     frames, _, outputs, _ = minute
-    state, coming = monitor.initial_state(), {}
+    begun, states = {}, states_of(frames)
+    for k, state in enumerate(states):
+        if state.mapping.study is not None:
+            begun.setdefault(state.mapping.study.begun, k)
+
+    told = [k for k, _ in maps(outputs)]
+    assert told
+    assert {k - 40 for k in told} <= set(begun.values())
+    for k in told:
+        before, known = states[k - 40].mapping, states[k].map.lanes
+        lanes = at_once(lanes_in_steps(before.evidence, before.map.lanes, SETUP.parameters))
+        assert [lane.points_m.tobytes() for lane in lanes] == [lane.points_m.tobytes() for lane in known]
+
+
+def states_of(frames, setup=SETUP):
+    states = [monitor.initial_state()]
     for k, now in enumerate(frames):
         moment = Moment(START_US + k * FRAME_US, k, tick=False)
-        state, _, _ = monitor.step(state, moment, now, SETUP)
-        if state.mapping.coming is not None:
-            coming.setdefault(state.mapping.coming.frame, k)
+        states.append(monitor.step(states[-1], moment, now, setup)[0])
+    return states[1:]
 
-    assert [k for k, _ in maps(outputs)] == [k + 40 for k in coming.values()]
+
+def test_learning_is_spread_over_the_frames_before_the_map_comes(minute):
+    frames, _, outputs, _ = minute
+    first = maps(outputs)[0][0]
+    study = states_of(frames[: first - 30])[-1].mapping.study
+
+    steps = lanes_in_steps(study.evidence, study.before, SETUP.parameters)
+    progress = Progress(steps)
+    progress.go_on(1)
+    work = [progress.work]
+    while not progress.ended:
+        progress.go_on(work[-1] + 1)
+        work.append(progress.work)
+
+    assert len(work) > 10
+    assert max(np.diff(work)) <= SETUP.parameters.mapping.work_a_frame
+    assert work[-1] < 39 * SETUP.parameters.mapping.work_a_frame  # nothing is left when the map comes
+
+
+def test_two_that_go_on_from_one_state_come_to_the_same_map(minute):
+    frames, _, outputs, _ = minute
+    first = maps(outputs)[0][0]
+    half = states_of(frames[: first - 20])[-1]
+
+    one, _, _ = watch(frames[first - 20 : first + 1], half, start=first - 20)
+    other, _, _ = watch(frames[first - 20 : first + 1], half, start=first - 20)
+
+    assert one.map.version == 1
+    assert snapshot.dump(one) == snapshot.dump(other)
+
+
+def test_other_parameters_end_what_is_being_learned_by_the_old_ones(minute):
+    frames, _, outputs, _ = minute
+    first = maps(outputs)[0][0]
+    half = states_of(frames[: first - 20])[-1]
+    other = traffic_setup(SensorConfig(sensor_id="radar-1", parameters={"traffic.learning.width_m": "3.3"}))
+
+    later, told, _ = watch(frames[first - 20 :], half, other, start=first - 20)
+
+    assert maps(told)[0][0] > 20  # learned anew
+    assert len(later.map.lanes) == 2
 
 
 def test_a_state_from_its_bytes_goes_on_to_the_same_bytes(minute):
