@@ -112,7 +112,7 @@ def assign(
     because the near face that a point stands for depends on the box.
     """
     cost = point_costs(points, boxes)
-    owner = claim_points(cost, boxes[:, BPRIOR], label, p.boxes.gate, p.boxes.cluster_gate)
+    owner = claim_points(cost, boxes[:, BPRIOR].copy(), label, p.boxes.gate, p.boxes.cluster_gate)
     drop_neighbours(owner, points, boxes)
     box, group = contested_pairs(cost, owner, p.boxes.gate)
     measured = measure_boxes(box, group, owner, points, boxes, range_seen_min_m)

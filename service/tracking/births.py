@@ -104,9 +104,9 @@ def moving_birth(
     knows it. Where it does not, the way that the cluster has come across the line of sight tells what little
     a few frames can.
     """
-    v = float(np.nanmedian(points[:, PV])) if np.isfinite(points[:, PV]).any() else math.nan
+    v = median(points[:, PV])
     weight = points[:, PWEIGHT]
-    x, y = (float(np.average(points[:, c], weights=weight)) for c in (PX, PY))
+    x, y = _average(points[:, PX], weight), _average(points[:, PY], weight)
     g = math.hypot(x, y)
     los = math.atan2(x, y)
     speed = 0.0 if math.isnan(v) else v
@@ -131,13 +131,24 @@ def moving_birth(
     near = float(points[:, PG].min())
     centre = near + 0.05 + 0.5 * p.length_m * abs(math.cos(heading - los))
     n = len(points)
-    std_t = math.sqrt(float(np.average(points[:, PVAR_AZ], weights=weight)) * g * g / n + 0.16)
+    std_t = math.sqrt(_average(points[:, PVAR_AZ], weight) * g * g / n + 0.16)
     return np.array([
         x * centre / g, y * centre / g, heading, vx, vy,
         math.sqrt(float(points[:, PVAR_R].mean()) + 0.16), std_t,
         10.0 if math.isnan(v) else p.radial_std_mps, 10.0 if math.isnan(v) else std_tangential, n,
-        float(np.ptp(points[:, PG])), p.length_m, 0.0, heading_var,
+        float(points[:, PG].max()) - near, p.length_m, 0.0, heading_var,
     ])  # fmt: skip
+
+
+def median(values: F64) -> float:
+    """Return the median of the known values, NaN for none; numpy's own takes ten times as long."""
+    known = np.sort(values[np.isfinite(values)])
+    return 0.5 * float(known[(len(known) - 1) // 2] + known[len(known) // 2]) if len(known) else math.nan
+
+
+def _average(values: F64, weights: F64) -> float:
+    """Return the weighted mean; numpy's own takes five times as long."""
+    return float((values * weights).sum() / weights.sum())
 
 
 def _sideways_speed(trail: F64, age_s: F64, los: float, prior_mps: float) -> tuple[float, float]:
@@ -150,7 +161,7 @@ def _sideways_speed(trail: F64, age_s: F64, los: float, prior_mps: float) -> tup
     variance = trail[:, PVAR_AZ] * trail[:, PG] ** 2 + VEHICLE_POINT_STD_M**2
     w = 1.0 / variance
     t = -age_s
-    t = t - float(np.average(t, weights=w))
+    t = t - _average(t, w)
     information = float((w * t * t).sum()) + 1.0 / prior_mps**2
     return float((w * t * across).sum()) / information, 1.0 / math.sqrt(information)
 
@@ -159,7 +170,7 @@ def gather(rows: list[F64]) -> Births:
     """Return the rows of `moving_birth` and `standing_births` as columns."""
     table = np.array(rows).reshape(-1, ROW)
     x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing, heading_var = (
-        table.T
+        table.T.copy()  # a kernel compiles anew for strided columns
     )
     return Births(
         x, y, heading, vx, vy, std_r, std_t, std_vr, std_vt, points, extent, length, standing > 0.5,
@@ -178,16 +189,19 @@ def _best_box(
     """
     n = len(x)
     best = (0, 0.0, 0.0, 0)
-    inside = np.empty(n)
+    inside, u, w = np.empty(n), np.empty(n), np.empty(n)
     for h in range(len(headings)):
         s, c = math.sin(headings[h]), math.cos(headings[h])
-        u = s * x + c * y
-        w = c * x - s * y
-        order = np.argsort(w)
+        for k in range(n):  # by insertion: a sort of numpy compiles for seconds
+            along, across, at = s * x[k] + c * y[k], c * x[k] - s * y[k], k
+            while at > 0 and w[at - 1] > across:
+                u[at], w[at] = u[at - 1], w[at - 1]
+                at -= 1
+            u[at], w[at] = along, across
         for a in range(n):
-            count = 0
-            for k in order:
-                if u[a] <= u[k] <= u[a] + length_m:
+            begin, count = s * x[a] + c * y[a], 0
+            for k in range(n):
+                if begin <= u[k] <= begin + length_m:
                     inside[count] = w[k]
                     count += 1
             high = 0
@@ -195,7 +209,7 @@ def _best_box(
                 while high < count and inside[high] <= inside[low] + width_m:
                     high += 1
                 if high - low > best[3]:
-                    best = (h, u[a], inside[low], high - low)
+                    best = (h, begin, inside[low], high - low)
     return best
 
 

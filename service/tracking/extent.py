@@ -159,9 +159,9 @@ def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tupl
         return tracks, mean
     rate = tracks.turn_rate_radps * math.exp(-dt_s / p.turn_rate_decay_s)
     angle = rate * dt_s
-    out, c, s = mean.copy(), np.cos(angle), np.sin(angle)
-    for i, j in ((1, 4), (2, 5)):
-        out[:, i], out[:, j] = c * mean[:, i] + s * mean[:, j], c * mean[:, j] - s * mean[:, i]
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    out, right, ahead = mean.copy(), mean[:, 1:3], mean[:, 4:6]  # velocity and acceleration
+    out[:, 1:3], out[:, 4:6] = c * right + s * ahead, c * ahead - s * right
     heading = tracks.heading_rad + angle
     return tracks.but(heading_rad=heading, turn_rate_radps=rate), out
 

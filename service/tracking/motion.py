@@ -54,8 +54,9 @@ def _move(F: F64, mean: F64, cov: F64, new_mean: F64, new_cov: F64) -> None:
                 new_mean[t, i] += F[i, j] * mean[t, j]
                 row[j] = 0.0
             for k in range(STATES):
-                for j in range(STATES):
-                    row[j] += F[i, k] * cov[t, k, j]
+                if F[i, k] != 0.0:  # two in three are: the axes move apart, nothing moves its integral
+                    for j in range(STATES):
+                        row[j] += F[i, k] * cov[t, k, j]
             for j in range(i + 1):
                 value = 0.0
                 for k in range(STATES):

@@ -35,7 +35,7 @@ def find_births(
     for c in found:  # a handful at most: clusters that no track claims
         member = free & (label == c)
         mine = member[new:]
-        if _median(np.abs(window.points[member, PV])) < p.clutter.standing_mps:
+        if birth.median(np.abs(window.points[member, PV])) < p.clutter.standing_mps:
             continue
         centre = points[mine].mean(axis=0)
         n, heading, agreement = road_map.driven_at(state.road, centre[[PX]], centre[[PY]], p.road)
@@ -51,12 +51,6 @@ def find_births(
     if len(state.tracks):
         kept = _outside(kept, rows, state.tracks, p)
     return kept
-
-
-def _median(values: F64) -> float:
-    """Return the median of the known values, NaN for none; numpy's own takes ten times as long."""
-    known = np.sort(values[np.isfinite(values)])
-    return 0.5 * float(known[(len(known) - 1) // 2] + known[len(known) // 2]) if len(known) else math.nan
 
 
 def _outside(born: birth.Births, rows: list[F64], tracks: Tracks, p: TrackerParameters) -> birth.Births:

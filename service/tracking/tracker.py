@@ -109,17 +109,15 @@ def step(
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
     watch("clutter")
-    state = replace(
-        state,
-        tracks=tracks,
-        next_number=state.next_number + len(born),
-        frames=state.frames + 1,
-        time_us=frame.time_us,
-        range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
-        clutter=clutter,
+    state = TrackerState(
+        tracks=tracks, window=window,
         standing_window=_slide_standing(state, points, standing & ~owned & ~no_birth, frame.time_us, p),
         frame_times_us=_recent_times(state, frame.time_us, p),
-    )
+        clutter=clutter, road=state.road, filter=state.filter, next_number=state.next_number + len(born),
+        frames=state.frames + 1, time_us=frame.time_us,
+        range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
+        echo_reference_db=reference, trails=trails,
+    )  # fmt: skip
     state = _teach_road(state, p)
     report = StepReport(
         points=len(frame),
