@@ -6,7 +6,6 @@ figure from exported crossings has the very numbers that it was computed from he
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -75,18 +74,12 @@ class Crossing:
     number: int = 0  # counter of the epoch
 
 
-_SAME = tuple(item.name for item in dataclasses.fields(Crossing) if item.name in (CROSSING.names or ())[1:])
-_ROUNDED = ("x_m", "y_m", "speed_mps", "length_m", "headway_s", "gap_s", "probability")
-
-
 def record_of(crossing: Crossing) -> U8:
     """Return one crossing as a record (1, CROSSING.itemsize)."""
-    record = np.zeros(1, CROSSING)
-    for name in _SAME:
-        record[name] = getattr(crossing, name)
-    for name in _ROUNDED:
-        record[name] = round(getattr(crossing, name), DECIMALS)
-    record["time_us"] = crossing.time_us % MINUTE_US
+    x = crossing
+    reals = (x.x_m, x.y_m, x.speed_mps, x.length_m, x.headway_s, x.gap_s, x.probability)
+    whole = (x.time_us % MINUTE_US, x.number, x.track, x.vehicle, x.frame, x.map_version, x.lane, x.direction)
+    record = np.array([(*whole, *(round(value, DECIMALS) for value in reals))], CROSSING)
     return record.view(np.uint8).reshape(1, -1)
 
 
