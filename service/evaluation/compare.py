@@ -55,6 +55,7 @@ MEASURES = (
 )
 SURE = 0.5  # association probability from which a measurement is a track's own
 MEAN = "mean"
+WARM_UP_FRAMES = 40  # tracked once before; kernels are loaded when they are first used
 
 
 @dataclass(slots=True)
@@ -161,6 +162,7 @@ def measure(
     scene: Scene, frames: Sequence[Frame], name: str, parameters: TrackerParameters, clock: Clock
 ) -> dict[str, Value]:
     """Return the scores of one filter on the frames of a scene."""
+    run(scene, frames[:WARM_UP_FRAMES], make_filter(name, parameters.filters), parameters, clock)
     bank = Watched(make_filter(name, parameters.filters), clock)
     tracks, cov, seconds = run(scene, frames, bank, parameters, clock)
     counted = count(scene, tracks, RULES)

@@ -1,12 +1,13 @@
 """`wayside compare`: the numbers of `evaluate`, for several filters, with consistency and time."""
 
+import itertools
 import json
 import math
 
 import numpy as np
 import pytest
 
-from service.evaluation.compare import Watched, mean_nees, with_means
+from service.evaluation.compare import WARM_UP_FRAMES, Watched, compare, mean_nees, with_means
 from service.evaluation.compare_plot import draw
 from service.evaluation.kinematics import Matches
 from service.evaluation.recorded import record
@@ -32,6 +33,17 @@ def test_each_filter_is_scored_as_track_and_evaluate_score_it(run, scene, tmp_pa
         assert result["filter_us"] > 0.0
         assert 0.05 < result["nis"] < 3.0
         assert math.isfinite(result["nees"])
+
+
+def test_what_is_loaded_when_a_filter_is_first_used_is_not_timed(scene):
+    slow = itertools.chain(np.arange(2.0 * WARM_UP_FRAMES), itertools.count(2.0 * WARM_UP_FRAMES, 1e-6))
+
+    result = compare(
+        [scene], ["ekf"], settings={}, until=4.0, clock=lambda: float(next(slow)), advance=lambda _: None
+    )[0]
+
+    assert 0.0 < result["step_ms"] < 1.0  # the first calls of the clock are a second apart
+    assert 0.0 < result["filter_us"] < 10.0
 
 
 def test_table_json_and_plot_are_written(run, scene, tmp_path):
