@@ -61,10 +61,20 @@ class Drives:
     z: F64  # (K, 12 M, 3)
     mean: Mapping[str, F64]  # (K, 12 M, 4)
 
+    def squared(self, name: str, column: int) -> F64:
+        """Return the mean squared error of each run of the twelve drives (12, M) in a column of the state."""
+        error = np.square(self.mean[name] - self.truth)[SETTLED:, :, column]
+        return np.asarray(error.mean(axis=0).reshape(len(ENVIRONMENTS) * DRIVES, -1))
+
     def rmse(self, name: str, column: int) -> F64:
         """Return the RMSE of each of the twelve drives in a column of the state (12,)."""
-        error = np.square(self.mean[name] - self.truth)[SETTLED:, :, column]
-        return np.asarray(np.sqrt(error.mean(axis=0).reshape(len(ENVIRONMENTS) * DRIVES, -1).mean(axis=1)))
+        return np.asarray(np.sqrt(self.squared(name, column).mean(axis=1)))
+
+    def rmse_error(self, name: str, column: int) -> F64:
+        """Return the standard error over the runs of each of those (12,)."""
+        squared = self.squared(name, column)
+        error = squared.std(axis=1, ddof=1) / np.sqrt(squared.shape[1])
+        return np.asarray(error / (2.0 * self.rmse(name, column)))
 
 
 def drive_all(runs: int, seed: Sequence[int], advance: Callable[[str], None]) -> Drives:

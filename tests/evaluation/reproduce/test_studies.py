@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from service.evaluation.reproduce.car_study import ENVIRONMENTS, Drives
+from service.evaluation.reproduce.isrckf import gain_error, gains
 from service.evaluation.reproduce.isrckf_states import PRINTED_S, judge
 from service.evaluation.reproduce.mast_study import Reading, fly, least_errors, rms_over_runs
 from service.simulation.turning_target import turning_target
@@ -55,3 +56,21 @@ def test_the_motion_states_change_at_the_papers_times():
 
     assert judged.worst_s <= 0.1
     assert judged.changes[-1][0] == PRINTED_S[-1][0]
+
+
+def test_the_standard_errors_of_the_drives_are_the_spread_over_repeated_studies():
+    def study(seed):
+        scale = np.random.default_rng(seed).lognormal(0.0, 0.2, (2, 1, 12 * 20, 1))  # 20 runs of each drive
+        truth = np.zeros((60, 12 * 20, 4))
+        return Drives(truth, truth[..., :3], {"ISRCKF": truth + scale[0], "SRCKF": truth + 2.0 * scale[1]})
+
+    studies = [study(seed) for seed in range(60)]
+    rmse = np.array([s.rmse("SRCKF", 2) for s in studies])
+    median = [np.median(gains(s, "SRCKF", 2)) for s in studies]
+
+    claimed = np.mean([s.rmse_error("SRCKF", 2) for s in studies])
+    assert claimed == pytest.approx(rmse.std(axis=0, ddof=1).mean(), rel=0.15)
+    claimed = np.mean([gain_error(s, "SRCKF", 2, np.mean) for s in studies])
+    spread = np.std([np.mean(gains(s, "SRCKF", 2)) for s in studies], ddof=1)
+    assert claimed == pytest.approx(spread, rel=0.3)
+    assert np.mean(median) == pytest.approx(50.0, abs=2.0)
