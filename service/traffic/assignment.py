@@ -38,10 +38,10 @@ class AssignmentParameters:
     """When a vehicle is in a lane, and when it has changed."""
 
     past_boundary_m: float = 0.3  # that the centre must be past the boundary, at least ...
-    past_boundary_stds: float = 1.0  # ... and so many standard deviations of its place ...
+    past_boundary_stds: float = 0.7  # ... and so many standard deviations of its place ...
     hold_s: float = 0.4  # ... for so long ...
     travel_m: float = 2.0  # ... and so much of its way: a standing vehicle changes no lane
-    settle_s: float = 0.6  # before, the lane of a new track is a guess, and another lane only a better one
+    settle_s: float = 0.25  # before, the lane of a new track is a guess, and another lane only a better one
     outside_m: float = 0.9  # beyond its half width a lane holds a vehicle so much longer
     angle_deg: float = 40.0  # a vehicle at a larger angle to a lane only crosses it
     against_m: float = 1.0  # that a lane of the other direction must be nearer
@@ -122,6 +122,21 @@ def retrace(
     rows = (samples.x_m.astype(f), samples.y_m.astype(f), np.arctan2(vx, vy), samples.across_std_m.astype(f))
     lane, whole, real = _judged(vehicles, slot, samples.time_us, rows, chart, p)
     return lane, _changes(vehicles, whole, real, np.hypot(vx, vy), version)
+
+
+def unfinished(gone: Vehicles, now_us: int, version: int, p: AssignmentParameters) -> tuple[LaneChange, ...]:
+    """Return the changes that vehicles which are followed no more were about to make: past the boundary."""
+    whole, real = gone.whole, gone.real
+    over = (whole[:, CANDIDATE] > 0) & (whole[:, PAST_US] > 0)
+    over &= whole[:, CROSSED_US] - whole[:, ENTERED_US] >= 1e6 * p.settle_s
+    return tuple(
+        LaneChange(
+            number=int(gone.number[i]), time_us=int(whole[i, CROSSED_US]), decided_us=now_us,
+            from_lane=int(whole[i, LANE]), to_lane=int(whole[i, CANDIDATE]), x_m=float(real[i, CROSSED_X]),
+            y_m=float(real[i, CROSSED_Y]), speed_mps=math.nan, map_version=version,
+        )
+        for i in np.flatnonzero(over).tolist()
+    )  # fmt: skip
 
 
 def _judged(  # noqa: PLR0913, PLR0917 - likewise
@@ -232,7 +247,9 @@ def _judge(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917 - one pass over th
                 lx, ly = real[i, LAST_X], real[i, LAST_Y]
                 a = _offset(lx, ly, heading, first[held], first[held + 1], point, least_cos, against)[0]
                 b = _offset(lx, ly, heading, first[best], first[best + 1], point, least_cos, against)[0]
-                if a >= 0.0 and b >= a and margin > 0.0 and whole[i, SEEN_US] > 0:
+                if not (a >= 0.0 and b >= a and whole[i, SEEN_US] > 0):
+                    whole[i, CROSSED_US] = 0  # it was not seen on this side: a lane begins here
+                elif margin > 0.0:
                     share = margin / (margin + b - a)  # of the way since the last sample, seen from now
                     whole[i, CROSSED_US] = now - np.int64(share * (now - whole[i, SEEN_US]))
                     real[i, CROSSED_X], real[i, CROSSED_Y] = x + share * (lx - x), y + share * (ly - y)

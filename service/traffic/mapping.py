@@ -193,17 +193,16 @@ def told_once(
 ) -> tuple[Mapping, tuple[LaneChange, ...]]:
     """Return the state, and the changes without those that were told of before, by an earlier map."""
     near_us = 1e6 * p.same_change_s
-    fresh = tuple(
-        change
-        for change in changes
+    fresh: list[LaneChange] = []
+    for change in changes:
         if not any(
             change.number == other.number and abs(change.time_us - other.time_us) < near_us
-            for other in mapping.told
-        )
-    )
+            for other in (*mapping.told, *fresh)
+        ):
+            fresh.append(change)
     if len(mapping.evidence.paths) < p.young_paths:
         mapping = replace(mapping, told=(*mapping.told, *fresh)[-p.backlog :])
-    return mapping, fresh
+    return mapping, tuple(fresh)
 
 
 def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters, digest: str) -> Mapping:

@@ -84,6 +84,11 @@ class Trajectory:
     width_m: float
     existence: float
 
+    @property
+    def ended_us(self) -> int:
+        """Return the time of the last sample, 0 when there is none."""
+        return int(self.samples.time_us[-1]) if len(self.samples.time_us) else 0
+
 
 @dataclass(frozen=True, slots=True)
 class LaneChange:

@@ -13,7 +13,8 @@ import numpy as np
 
 from service.tracking.model import TrackEstimates
 from service.traffic import mapping as lane_mapping
-from service.traffic.assignment import Chart, assign, chart_of, retrace
+from service.traffic.assignment import Chart, assign, chart_of, retrace, unfinished
+from service.traffic.changes import Changes, confirm, judged, no_changes
 from service.traffic.counting import CountState, count, nothing_counted, report
 from service.traffic.mapping import Mapping, no_mapping
 from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, Samples
@@ -21,7 +22,7 @@ from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
 from service.traffic.steps import at_once
-from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, no_vehicles
+from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, lost, no_vehicles
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ class TrafficState:
     chart: Chart  # of the map in force
     vehicles: Vehicles
     paths: Paths
+    changes: Changes
     counts: CountState
 
     @property
@@ -47,7 +49,9 @@ class TrafficState:
 
 def initial_state() -> TrafficState:
     """Return the state before the first frame."""
-    return TrafficState(no_mapping(), chart_of(NO_MAP), no_vehicles(), no_paths(), nothing_counted())
+    return TrafficState(
+        no_mapping(), chart_of(NO_MAP), no_vehicles(), no_paths(), no_changes(), nothing_counted()
+    )
 
 
 def begun_anew(state: TrafficState) -> TrafficState:
@@ -60,23 +64,27 @@ def step(
 ) -> tuple[TrafficState, TrackEstimates, Outputs]:
     """Return the state after a frame or a tick, the tracks with lane and motion state, and the outputs."""
     p = setup.parameters
-    state, found, traced = _map_in_force(state, moment, setup)
-    vehicles = aligned(state.vehicles, estimates.number)
+    state, found, traced, coming = _map_in_force(state, moment, setup)
     version = state.map.version
-    lane, changes = assign(vehicles, moment, estimates, state.chart, version, p.assignment)
+    left = unfinished(lost(state.vehicles, estimates.number), moment.time_us, version, p.assignment)
+    vehicles = aligned(state.vehicles, estimates.number)
+    lane, crossed = assign(vehicles, moment, estimates, state.chart, version, p.assignment)
     motion = classify(vehicles, moment, estimates, state.chart, setup.travel_heading_rad, p.motion)
     estimates = dataclasses.replace(estimates, lane=lane, motion=motion)
     paths, finished = follow(state.paths, moment, estimates, p.paths)
     counts, counted = count(state.counts, moment, estimates, state.map, setup)
+    changes, sure = confirm(
+        state.changes, (*left, *crossed, *coming), paths, finished, state.map, moment.time_us, p.changes
+    )
     mapping, drift = state.mapping, None
-    if traced or changes:
-        mapping, changes = lane_mapping.told_once(mapping, (*traced, *changes), p.mapping)
+    if traced or sure:
+        mapping, sure = lane_mapping.told_once(mapping, (*traced, *sure), p.mapping)
     if finished:
         mapping, drift = lane_mapping.gather(mapping, finished, p.evidence, p.drift, p.mapping)
     if not moment.tick:
         mapping = lane_mapping.look(mapping, moment, setup.config.sensor_id, p.mapping, setup.digest)
-    state = TrafficState(mapping, state.chart, vehicles, paths, counts)
-    return state, estimates, Outputs(finished, changes, found, drift, counted)
+    state = TrafficState(mapping, state.chart, vehicles, paths, changes, counts)
+    return state, estimates, Outputs(finished, sure, found, drift, counted)
 
 
 def last_words(state: TrafficState) -> Outputs:
@@ -95,26 +103,27 @@ def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
 
 def _map_in_force(
     state: TrafficState, moment: Moment, setup: TrafficSetup
-) -> tuple[TrafficState, LaneMap | None, tuple[LaneChange, ...]]:
-    """Return the state at a frame, the map that came into force with it, and what it tells of the past."""
+) -> tuple[TrafficState, LaneMap | None, tuple[LaneChange, ...], tuple[LaneChange, ...]]:
+    """Return the state at a frame, the map that came into force with it, and what it tells of the past.
+
+    That is the changes of vehicles that have gone, and those of vehicles still there, which are to be judged.
+    """
     if moment.tick:
-        return state, None, ()
+        return state, None, (), ()
     before = state.mapping
     mapping = lane_mapping.begin(before, moment, setup.given, setup.parameters, setup.digest)
     state = replace(state, mapping=mapping)
     if mapping.map is before.map:
-        return state, None, ()
+        return state, None, (), ()
     state = replace(state, chart=chart_of(mapping.map))
-    traced: tuple[LaneChange, ...] = ()
-    known = {lane.index for lane in before.map.lanes}
-    if mapping.map.source == "learned" and any(lane.index not in known for lane in mapping.map.lanes):
-        state, traced = _trace_back(state, before, setup.parameters)
-    return state, mapping.map, traced
+    if mapping.map.source != "learned" or not before.backlog:
+        return state, mapping.map, (), ()
+    return _trace_back(state, before, moment.time_us, setup.parameters)
 
 
 def _trace_back(
-    state: TrafficState, before: Mapping, p: TrafficParameters
-) -> tuple[TrafficState, tuple[LaneChange, ...]]:
+    state: TrafficState, before: Mapping, now_us: int, p: TrafficParameters
+) -> tuple[TrafficState, LaneMap, tuple[LaneChange, ...], tuple[LaneChange, ...]]:
     """Judge by a new map what was seen before it: vehicles that have gone, and those still there."""
     gone = [path.samples for path in before.backlog]
     past = join((state.paths.past, *state.paths.recent))
@@ -123,14 +132,16 @@ def _trace_back(
     for samples in gone:
         passing = no_vehicles(np.unique(samples.number))
         found += retrace(passing, samples, state.chart, version, p.assignment)[1]
+        found += unfinished(passing, now_us, version, p.assignment)
+    told = judged(found, join((*gone, past)), state.map, now_us, p.changes)
     vehicles = _unjudged(aligned(state.vehicles, state.paths.number))
     here: Samples = retraced(past, state.paths.number)
-    lane, changes = retrace(vehicles, here, state.chart, version, p.assignment)
-    found += changes
+    lane, coming = retrace(vehicles, here, state.chart, version, p.assignment)
     paths = replace(state.paths, past=replace(here, lane=lane), recent=())
-    return replace(state, vehicles=vehicles, paths=paths), tuple(
-        sorted(found, key=lambda c: (c.time_us, c.number))
-    )
+    # what was pending is found again
+    waiting = replace(state.changes, pending=())
+    state = replace(state, vehicles=vehicles, paths=paths, changes=waiting)
+    return state, state.map, tuple(sorted(told, key=lambda c: (c.time_us, c.number))), coming
 
 
 def _unjudged(vehicles: Vehicles) -> Vehicles:

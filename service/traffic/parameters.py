@@ -12,6 +12,7 @@ from service.errors import InvalidInput
 from service.formats.sensor import TRAFFIC_PREFIX, SensorConfig
 from service.tracking.parameters import with_setting
 from service.traffic.assignment import AssignmentParameters
+from service.traffic.change_evidence import ChangeParameters
 from service.traffic.control import given_lanes
 from service.traffic.count_parameters import CountParameters
 from service.traffic.drift import DriftParameters
@@ -31,6 +32,7 @@ class TrafficParameters:
     paths: PathParameters = field(default_factory=PathParameters)
     counting: CountParameters = field(default_factory=CountParameters)
     assignment: AssignmentParameters = field(default_factory=AssignmentParameters)
+    changes: ChangeParameters = field(default_factory=ChangeParameters)
     motion: MotionParameters = field(default_factory=MotionParameters)
     evidence: EvidenceParameters = field(default_factory=EvidenceParameters)
     learning: LearningParameters = field(default_factory=LearningParameters)

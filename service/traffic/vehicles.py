@@ -55,3 +55,11 @@ def find(numbers: I64, wanted: I64) -> I64:
     where[where == len(numbers)] = 0
     where[numbers[where] != wanted] = -1
     return where
+
+
+def lost(vehicles: Vehicles, number: I64) -> Vehicles:
+    """Return the tracks that are not among those now listed."""
+    if np.array_equal(vehicles.number, number):
+        return no_vehicles()
+    gone = find(number, vehicles.number) < 0
+    return Vehicles(vehicles.number[gone], vehicles.whole[gone], vehicles.real[gone])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from service.tracking.model import TrackStatus
-from service.traffic.assignment import AssignmentParameters, assign, chart_of
+from service.traffic.assignment import AssignmentParameters, assign, chart_of, unfinished
 from service.traffic.model import Lane, LaneMap, Moment
-from service.traffic.vehicles import aligned, no_vehicles
+from service.traffic.vehicles import aligned, lost, no_vehicles
 from tests.traffic.tracks import FRAME_US, START_US, estimates
 
 P = AssignmentParameters()
@@ -87,7 +87,7 @@ def test_a_doubtful_place_must_be_farther_past_the_boundary():
     path = ramp(2.0, 3.0, to_m=2.3)  # half a metre past the boundary, and there it stays
 
     assert len(follow(TWO, path, std_m=0.1)[1]) == 1
-    assert follow(TWO, path, std_m=0.7)[1] == []
+    assert follow(TWO, path, std_m=0.9)[1] == []
 
 
 def test_a_standing_vehicle_changes_no_lane():
@@ -147,3 +147,29 @@ def test_where_lanes_lie_on_one_another_the_one_of_the_same_way_is_taken():
     chart = road(lane(1, 0.0, backwards=True), lane(2, 0.6))
 
     assert set(follow(chart, np.full(20, 0.2))[0]) == {2}
+
+
+def test_no_change_is_told_where_a_lane_begins_beside_the_vehicle():
+    chart = road(lane(1, 0.0), lane(2, 2.6, start_m=70.0))
+
+    lanes, changes = follow(chart, np.full(120, 1.9))
+
+    assert (lanes[0], lanes[-1]) == (1, 2)
+    assert changes == []
+
+
+def test_who_is_lost_past_the_boundary_was_about_to_change():
+    vehicles = no_vehicles()
+    for k, x in enumerate(ramp(2.0, 4.0)[:91]):  # half a second behind the boundary
+        now = estimates([1], x, 25 + SPEED_MPS * FRAME_US / 1e6 * k, 0.0, SPEED_MPS, std_m=0.1)
+        vehicles = aligned(vehicles, now.number)
+        _, changed = assign(vehicles, Moment(START_US + k * FRAME_US, k, tick=False), now, TWO, 1, P)
+        assert changed == ()
+
+    (change,) = unfinished(
+        lost(vehicles, np.zeros(0, dtype=np.int64)), now_us=START_US + 5_000_000, version=1, p=P
+    )
+
+    assert (change.from_lane, change.to_lane) == (1, 2)
+    assert (change.time_us - START_US) / 1e6 == pytest.approx(4.0, abs=0.06)
+    assert len(unfinished(lost(vehicles, vehicles.number), now_us=0, version=1, p=P)) == 0

@@ -252,3 +252,18 @@ def test_parameters_are_set_by_their_dotted_names():
     assert config.tracker_parameters().clustering.window_frames == 6
     changed = dataclasses.replace(SETUP.parameters).digest()
     assert traffic_setup(config).parameters.digest() != changed
+
+
+def test_while_the_map_is_young_every_new_map_judges_anew_what_was_seen(monkeypatch):
+    traced = []
+    judge = monitor.judged
+
+    def watched(found, *rest):
+        traced.append(len(found))
+        return judge(found, *rest)
+
+    monkeypatch.setattr(monitor, "judged", watched)
+    _, outputs, _ = watch(scene(60, seed=6))
+
+    assert len(traced) == len(maps(outputs))
+    assert len(changes(outputs)) == 1  # ... and tells a change once
