@@ -5,7 +5,8 @@ Rules, in this order, for a frame against what has been seen of its sensor:
 1. A `boot_id` not seen before opens a new boot; one of a former boot is late. Without `boot_id`, a number
    that goes back while time goes on opens a new boot.
 2. Same key (boot and number, or boot and time for a frame without number) as a recent frame: duplicate when
-   the content is equal, else conflict.
+   the content is equal, else conflict. A frame without `boot_id` does not say of which boot it is: with the
+   number and content of a recent frame of any boot it is a duplicate.
 3. A number not above the newest folded one is late.
 4. Time must go on: a frame not after the newest folded frame or tick is late, whatever its number. When
    several frames in a row have rising numbers but stand far back, the sensor's clock was set: the tracker
@@ -60,6 +61,13 @@ class RecentKeys:
             return None
         found = np.flatnonzero(equal & (self.space == space))
         return int(self.digest[found[-1]]) if len(found) else None
+
+    def repeats(self, key: int, digest: int) -> bool:
+        """Return whether a number was seen with this content (which holds the time), in whatever boot."""
+        equal = self.key == key
+        if not equal.any():
+            return False
+        return bool((equal & (self.digest == digest) & (self.space % 2 == 0)).any())
 
     def remember(self, space: int, key: int, digest: int) -> RecentKeys:
         """Return the keys with one more, and the oldest forgotten when there are too many."""
@@ -129,6 +137,8 @@ def admit(state: OrderState, frame: Frame) -> tuple[OrderState, Admission]:
     key = frame.time_us if frame.sequence is None else frame.sequence
     digest, space = content_digest(frame), 2 * boot + (not numbered)
     seen = None if opens else state.recent.digest_of(space, key)
+    if seen != digest and numbered and frame.boot_id is None and state.recent.repeats(key, digest):
+        return state, Admission(Fate.DUPLICATE)
     if seen is not None:
         return state, Admission(Fate.DUPLICATE if seen == digest else Fate.CONFLICT)
     state = replace(state, recent=state.recent.remember(space, key, digest))

@@ -141,6 +141,24 @@ def test_a_repeat_of_a_number_with_another_time_is_a_conflict_and_no_reboot():
     assert admission.fate == Fate.CONFLICT
 
 
+def test_a_batch_across_a_reboot_that_is_posted_again_is_all_duplicates():
+    before = [frame(n, START_US + n * PERIOD_US) for n in (1, 2, 98, 99, 100)]
+    after = [frame(n, START_US + (100 + n) * PERIOD_US) for n in (1, 2, 3)]
+    state, _ = admit_all([*before, *after])
+
+    again, admissions = admit_all([*before, *after], state)
+
+    assert fates(admissions) == ["duplicate"] * 8
+    assert again is state
+
+
+def test_an_unknown_frame_from_before_a_reboot_is_late_and_another_content_a_conflict():
+    state, _ = admit_all([*numbered(97, 98, 100), *numbered(1, 2, 3, start_us=START_US + 100 * PERIOD_US)])
+    other = dataclasses.replace(frame(2, START_US + 102 * PERIOD_US), snr_db=frame(2, 0).snr_db + 1)
+
+    assert fates(admit_all([*numbered(99), other], state)[1]) == ["late", "conflict"]
+
+
 def test_a_new_boot_id_opens_a_boot_and_a_former_one_is_late():
     first = [frame(n, START_US + n * PERIOD_US, boot_id="a") for n in (7, 8)]
     second = [frame(n, START_US + (n + 8) * PERIOD_US, boot_id="b") for n in (1, 2)]
