@@ -184,7 +184,7 @@ def _serve() -> None:
     idle = "--idle-tracker" in sys.argv
     if idle:
         TrackerThread.add = lambda *_: None  # type: ignore[method-assign]
-    settings = Settings(data_dir=Path(sys.argv[1]))
+    settings = Settings(data_dir=Path(sys.argv[1]), **({"tracker_processes": 0} if idle else {}))
     set_up_logging(settings.log_level, "json")
     run(
         settings,

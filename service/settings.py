@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -56,6 +57,10 @@ class Settings(BaseSettings):
     log_segment_bytes: PositiveBytes = ByteSize(256 * 2**20)
     disk_free_min_share: Annotated[float, Field(ge=0, lt=1)] = 0.05  # below it frames get 503
 
+    # Processes that track beside the serving one; 0: in the serving process itself. None: 1, or 0 on a
+    # machine with one processor.
+    tracker_processes: Annotated[int, Field(ge=0, le=64)] | None = None
+
     flush_interval_s: PositiveSeconds = 1.0  # rows and cursor together
     snapshot_interval_s: PositiveSeconds = 10.0  # state, whichever of the two comes first
     snapshot_frames: Annotated[int, Field(ge=1)] = 200
@@ -69,6 +74,13 @@ class Settings(BaseSettings):
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["auto", "console", "json"] = "auto"  # auto: console on a terminal, else JSON
+
+    @property
+    def tracker_process_count(self) -> int:
+        """How many tracker processes there are."""
+        if self.tracker_processes is not None:
+            return self.tracker_processes
+        return 1 if len(os.sched_getaffinity(0)) > 1 else 0
 
     @property
     def rows_url(self) -> str:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import logging
 import sys
 import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.metrics_core import Metric
 
 from service import __version__
+
+Samples = list[tuple[str, str, dict[str, str], float]]  # family, sample, labels, value
 
 _LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 _STAGE_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -42,6 +47,12 @@ class Telemetry:
         )
         self.restarts = Counter(
             "wayside_tracker_restarts", "New epochs of the tracker.", sensor, registry=self.registry
+        )
+        self.process_restarts = Counter(
+            "wayside_tracker_process_restarts",
+            "Tracker processes that were started again.",
+            ("process",),
+            registry=self.registry,
         )
         self.failed = Gauge(
             "wayside_sensor_failed", "1 while a sensor is not tracked.", sensor, registry=self.registry
@@ -108,9 +119,54 @@ class Telemetry:
             self.clock_skew.labels(sensor_id).set(skew_s)
             self.clock_jitter.labels(sensor_id).set(jitter_s)
 
-    def text(self) -> bytes:
-        """Return every metric in Prometheus' text format."""
-        return generate_latest(self.registry)
+    def samples(self) -> Samples:
+        """Return what was counted here, in a form that another process can add to its own."""
+        return [
+            (family.name, sample.name, sample.labels, sample.value)
+            for family in self.registry.collect()
+            for sample in family.samples
+            # Gauges without a label are of the whole host, which sets them itself.
+            if not sample.name.endswith("_created") and (family.type != "gauge" or sample.labels)
+        ]
+
+    def text(self, elsewhere: Sequence[Samples] = ()) -> bytes:
+        """Return every metric in Prometheus' text format; what other processes counted is added."""
+        return generate_latest(cast("CollectorRegistry", _Added(self.registry, elsewhere)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Added:
+    """A registry with what was counted elsewhere: counts are summed, gauges replaced."""
+
+    registry: CollectorRegistry
+    elsewhere: Sequence[Samples]
+
+    def collect(self) -> Iterator[Metric]:
+        others: dict[str, list[tuple[str, dict[str, str], float]]] = {}
+        for samples in self.elsewhere:
+            for family_name, name, labels, value in samples:
+                others.setdefault(family_name, []).append((name, labels, value))
+        for family in self.registry.collect():
+            values = {(s.name, *sorted(s.labels.items())): s.value for s in family.samples}
+            labels_of = {(s.name, *sorted(s.labels.items())): s.labels for s in family.samples}
+            for name, labels, value in others.get(family.name, ()):
+                key = (name, *sorted(labels.items()))
+                values[key] = value if family.type == "gauge" else values.get(key, 0.0) + value
+                labels_of[key] = labels
+            summed = Metric(family.name, family.documentation, family.type)
+            for key, value in values.items():
+                summed.add_sample(str(key[0]), labels_of[key], value)
+            yield summed
+
+
+def added(one: Samples, other: Samples) -> Samples:
+    """Return the sums of counts of a process and of the one that it replaced; gauges are of the newer."""
+    sums = {(family, name, *sorted(labels.items())): (labels, value) for family, name, labels, value in one}
+    for family, name, labels, value in other:
+        key = (family, name, *sorted(labels.items()))
+        before = sums.get(key, (labels, 0.0))[1]
+        sums[key] = labels, value if name == family else before + value
+    return [(str(key[0]), str(key[1]), labels, value) for key, (labels, value) in sums.items()]
 
 
 def in_short(_logger: object, _method: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:

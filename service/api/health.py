@@ -14,6 +14,7 @@ from service.api.schemas import (
     ReadyReply,
     SensorHealthReply,
     StorageReply,
+    TrackerProcessReply,
 )
 from service.errors import WaysideError
 from service.pipeline.health import HostHealth, SensorHealth, StorageHealth
@@ -55,14 +56,17 @@ async def health(services: ServicesDep, _: ReadKey) -> HealthReply:
         log_damaged_records=found.storage.log_damaged_records,
         storage=_storage(found.storage),
         sensors=[_sensor(sensor) for sensor in found.sensors],
+        tracker_processes=[
+            TrackerProcessReply(running=one.running, restarts=one.restarts, sensors=one.sensors)
+            for one in found.processes
+        ],
     )
 
 
 @router.get("/metrics", response_class=Response)
 async def metrics(services: ServicesDep, _: ReadKey) -> Response:
     """Metrics in the text format of Prometheus."""
-    services.host.health()  # brings the gauges up to date
-    return Response(services.host.telemetry.text(), media_type=METRICS_TYPE)
+    return Response(services.host.metrics(), media_type=METRICS_TYPE)
 
 
 def _host(services: Services) -> CheckReply:
@@ -84,7 +88,8 @@ def _lag(found: HostHealth) -> CheckReply:
 def _tracker(found: HostHealth) -> CheckReply:
     failed = [sensor.sensor_id for sensor in found.sensors if sensor.failure is not None]
     if not found.tracking:
-        return CheckReply(name="tracker", ok=False, detail="the tracker thread does not run")
+        detail = "the tracker does not run; it is started again where that is possible"
+        return CheckReply(name="tracker", ok=False, detail=detail)
     return CheckReply(name="tracker", ok=True, detail=f"failed sensors: {len(failed)}")
 
 

@@ -249,6 +249,14 @@ class StorageReply(BaseModel):
     disk_free_share: float | None = Field(description="of the disk that holds the log")
 
 
+class TrackerProcessReply(BaseModel):
+    """One process that tracks some of the sensors."""
+
+    running: bool
+    restarts: int = Field(description="how often it ended by itself and was started again")
+    sensors: int
+
+
 class HealthReply(BaseModel):
     """How the service and its sensors are."""
 
@@ -259,6 +267,9 @@ class HealthReply(BaseModel):
     log_damaged_records: int
     storage: StorageReply
     sensors: list[SensorHealthReply]
+    tracker_processes: list[TrackerProcessReply] = Field(
+        description="processes that track beside the serving one; none: it tracks itself"
+    )
 
 
 JsonObject = dict[str, JsonValue]

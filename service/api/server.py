@@ -19,11 +19,14 @@ from service.api.app import create_app
 from service.api.dependencies import Services
 from service.api.security import is_loopback
 from service.errors import InvalidInput, StorageError, WaysideError
-from service.pipeline.host import EmbeddedHost
+from service.pipeline import tracker_process
+from service.pipeline.host import EmbeddedHost, wall_clock_us
+from service.pipeline.nursery import Nursery
 from service.settings import Settings
 from service.storage.database import connection, open_database
 from service.storage.keys import list_keys
 from service.storage.migrate import upgrade
+from service.tracking import tracker
 
 Beside = Callable[[EmbeddedHost], AbstractAsyncContextManager[None]]
 
@@ -50,6 +53,7 @@ def run(
     as the host does. Raises InvalidInput when other machines could reach the service without any key (unless
     `insecure`), and StorageError when the port, the database or the data directory cannot be used.
     """
+    nursery: Nursery | None = None
     with listening(settings) as listener:
         engine = open_database(settings.rows_url)
         try:
@@ -57,7 +61,8 @@ def run(
             if prepare is not None:
                 prepare(engine)
             refuse_open_network(engine, settings, insecure=insecure)
-            host = EmbeddedHost(engine, settings)
+            nursery = _nursery(engine, settings)
+            host = EmbeddedHost(engine, settings, nursery=nursery)
             app = create_app(host, engine, settings, insecure=insecure)
             failures = _watch(app, host, beside)
             server = Server(app, settings, on_ready)
@@ -69,7 +74,17 @@ def run(
             if not server.started:
                 raise StorageError("the service could not start; the log says why")
         finally:
+            if nursery is not None:
+                nursery.close()
             engine.dispose()
+
+
+def _nursery(engine: Engine, settings: Settings) -> Nursery | None:
+    """Make the process that starts the helpers, None where there are none; no thread may run yet."""
+    if not settings.tracker_process_count:
+        return None
+    engine.dispose()  # a connection must not be shared with a fork
+    return Nursery({tracker_process.WORK: tracker_process.work_of(settings, tracker, wall_clock_us)})
 
 
 def refuse_open_network(engine: Engine, settings: Settings, *, insecure: bool) -> None:

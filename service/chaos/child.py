@@ -34,6 +34,7 @@ def settings(data_dir: Path) -> Settings:
         snapshot_interval_s=0.1,
         snapshot_frames=40,
         log_limit_bytes=LOG_BYTES,
+        tracker_processes=0,  # so that the layer below SQLite sees every write
     )
 
 

@@ -1,4 +1,8 @@
-"""One sensor in the host: where its fold stands, and how it is found again after a restart."""
+"""One sensor in the host: its door, where its fold stands, and how both are found again after a restart.
+
+The two halves may live in two processes: the doorway always in that of the API, the channel in that of the
+tracker that the sensor belongs to.
+"""
 
 from __future__ import annotations
 
@@ -36,23 +40,55 @@ class Restart:
 
 
 @dataclass(slots=True)
+class Doorway:
+    """One sensor's door: written by the event loop, and by whoever configures the sensor."""
+
+    sensor_id: str
+    config: SensorConfig
+    door: OrderState  # what the order will be once every logged record is folded
+    durable_door: OrderState  # the same for the records known to be durable
+    waiting: deque[tuple[int, int]]  # position and receive time of what is durable and not folded
+    folded: int = 0  # newest position that the tracker told
+    door_failures: int = 0  # submissions that the log refused
+    clock: ClockWatch = field(default_factory=ClockWatch)
+
+    def pass_folded(self, position: int) -> None:
+        """Take in that records up to a position are folded; from the tracker's thread."""
+        self.folded = max(position, self.folded)
+        while self.waiting and self.waiting[0][0] <= position:
+            self.waiting.popleft()
+
+    def oldest_waiting_us(self) -> int | None:
+        """Return when the oldest frame was received that is durable and not folded, None when none waits."""
+        folded = self.folded
+        return next((received_us for position, received_us in tuple(self.waiting) if position > folded), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where the fold of one sensor stands, as others are told."""
+
+    sensor_id: str
+    epoch: int
+    folded_position: int
+    stored_position: int
+    received_us: int | None = None  # host's time of the newest folded frame
+    stored_us: int | None = None  # when rows were stored last
+    unstored_frames: int = 0  # folded, and not stored yet
+    failure: str | None = None  # why frames are not tracked any more
+
+
+@dataclass(slots=True)
 class Channel(Generic[S]):
-    """One sensor's place in the host. The tracker thread owns it, but for the fields of the door."""
+    """One sensor's place in the tracker, which alone touches it."""
 
     sensor_id: str
     state: FoldState[S]
     shard: Shard
     snapshot_position: int
     snapshot_at_s: float  # monotonic
-    # The door: written by the event loop (and by whoever configures the sensor).
-    config: SensorConfig
-    door: OrderState  # what the order will be once every logged record is folded
-    durable_door: OrderState  # the same for the records known to be durable
-    heard_us: int  # host's time of the newest arrival
-    waiting: deque[tuple[int, int]]  # position and receive time of what is durable; the tracker takes out
-    door_failures: int = 0  # submissions that the log refused
-    clock: ClockWatch = field(default_factory=ClockWatch)
-    # The tracker thread:
+    heard_us: int  # host's time of the newest arrival that was folded, or of the opening
+    opened_position: int  # end of the log at the opening: what lies before was heard by an earlier run
     rows: list[Rows] = field(default_factory=list)
     restarts: list[Restart] = field(default_factory=list)
     frames_since_snapshot: int = 0
@@ -65,14 +101,22 @@ class Channel(Generic[S]):
     failure: str | None = None
     leaving: bool = False
 
-    def oldest_waiting_us(self) -> int | None:
-        """Return when the oldest frame was received that is durable and not folded, None when none waits."""
-        folded = self.state.position
-        return next((received_us for position, received_us in tuple(self.waiting) if position > folded), None)
-
     def take_rows(self) -> Rows:
         """Return what was collected since the last flush, each track's newest summary only."""
         return merge_rows(self.rows)
+
+    def standing(self) -> Standing:
+        """Return where the sensor stands."""
+        return Standing(
+            self.sensor_id,
+            self.state.epoch,
+            self.state.position,
+            self.shard.cursor,
+            self.received_us,
+            self.stored_us,
+            len(self.unstored_received_us),
+            self.failure,
+        )
 
 
 def open_channel(  # noqa: PLR0913 - what a restart needs
@@ -84,7 +128,7 @@ def open_channel(  # noqa: PLR0913 - what a restart needs
     now_us: int,
     now_s: float,
 ) -> Channel[S]:
-    """Find a sensor's state again, or begin an epoch, and make sure that the log holds its configuration.
+    """Find a sensor's state again, or begin an epoch.
 
     Raises NotFound when the sensor is not registered, Unavailable when the log or the database is.
     """
@@ -97,14 +141,23 @@ def open_channel(  # noqa: PLR0913 - what a restart needs
     else:
         state = found
     log.reserve(sensor_id, shard.cursor)
+    position = 0 if shard.snapshot is None else shard.snapshot.position
+    # A log that is full takes no frame, so no further snapshot would come to let anything go.
+    log.release(sensor_id, min(position, state.position))
+    return Channel(sensor_id, state, shard, position, now_s, now_us, log.last_position(sensor_id))
+
+
+def open_doorway(log: FrameLog, config: SensorConfig, state: FoldState[S], *, now_us: int) -> Doorway:
+    """Return the door of a sensor whose fold stands at `state`; the log holds its configuration then.
+
+    Raises Unavailable when the log is.
+    """
+    sensor_id = config.sensor_id
     order, logged, waiting = _look_through(log, state)
     if logged != config.canonical_json() or log.last_position(sensor_id) < state.epoch_first_position:
         log.append(sensor_id, [ControlRecord(config.canonical_json(), now_us)])
         order, _ = flush(order)
-    position = 0 if shard.snapshot is None else shard.snapshot.position
-    # A log that is full takes no frame, so no further snapshot would come to let anything go.
-    log.release(sensor_id, min(position, state.position))
-    return Channel(sensor_id, state, shard, position, now_s, config, order, order, now_us, waiting)
+    return Doorway(sensor_id, config, order, order, waiting, state.position)
 
 
 def _resume(log: FrameLog, shard: Shard, config: SensorConfig, tracker: Tracker[S]) -> FoldState[S] | str:

@@ -6,10 +6,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from service.errors import WaysideError
-from service.pipeline.channel import Channel
+from service.pipeline.channel import Doorway
 from service.pipeline.order import Fate, OrderState, admit
 from service.pipeline.records import FrameRecord
 from service.pipeline.sqlite_log import SqliteLog
@@ -55,34 +54,31 @@ class Door:
         self._ahead_limit_s = ahead_limit_s
         self._durable = telemetry.stage.labels("logged")
 
-    async def submit(
-        self, channel: Channel[Any], frames: Sequence[Frame], received_us: int
-    ) -> list[ItemResult]:
+    async def submit(self, doorway: Doorway, frames: Sequence[Frame], received_us: int) -> list[ItemResult]:
         """Log frames of a sensor and return, once they are durable, what became of each.
 
         Raises Unavailable when the log or the disk is full.
         """
         started_s = time.perf_counter()
-        found = self._sort(channel, frames, received_us)
+        found = self._sort(doorway, frames, received_us)
         if not found.records:
             return found.results
-        channel.door, failures = found.order, channel.door_failures
+        doorway.door, failures = found.order, doorway.door_failures
         try:
-            positions = await self._frame_log.append_async(channel.sensor_id, found.records)
+            positions = await self._frame_log.append_async(doorway.sensor_id, found.records)
         except WaysideError:
             # The frames will come again: they must not be taken for repeats then.
-            channel.door = channel.durable_door
-            channel.door_failures += 1
+            doorway.door = doorway.durable_door
+            doorway.door_failures += 1
             raise
-        if channel.door_failures == failures:
-            channel.durable_door = found.order
+        if doorway.door_failures == failures:
+            doorway.durable_door = found.order
         else:
             # Earlier frames that the log refused stand in `found.order`: they must not.
-            channel.durable_door = _passed(channel.durable_door, found.records)
-            channel.door = _passed(channel.door, found.records)
-        channel.heard_us = received_us
-        if positions[-1] > channel.state.position:  # else the tracker was quicker
-            channel.waiting.append((positions[-1], received_us))
+            doorway.durable_door = _passed(doorway.durable_door, found.records)
+            doorway.door = _passed(doorway.door, found.records)
+        if positions[-1] > doorway.folded:  # else the tracker was quicker
+            doorway.waiting.append((positions[-1], received_us))
         self._durable.observe(time.perf_counter() - started_s)
         return found.results
 
@@ -90,12 +86,12 @@ class Door:
         """Count frames that could not be read."""
         self._telemetry.frames.labels(sensor_id, Outcome.REJECTED.value).inc(count)
 
-    def _sort(self, channel: Channel[Any], frames: Sequence[Frame], received_us: int) -> _Sorted:
+    def _sort(self, doorway: Doorway, frames: Sequence[Frame], received_us: int) -> _Sorted:
         results: list[ItemResult] = []
         records: list[FrameRecord] = []
-        order, newest_us = channel.door, None
+        order, newest_us = doorway.door, None
         for frame in frames:
-            refusal = self._refusal(channel.sensor_id, frame, received_us)
+            refusal = self._refusal(doorway.sensor_id, frame, received_us)
             if refusal is not None:
                 results.append(ItemResult(Outcome.REJECTED, refusal))
                 newest_us = frame.time_us
@@ -107,9 +103,9 @@ class Door:
             if result.outcome is Outcome.ACCEPTED:
                 newest_us = frame.time_us
         if newest_us is not None:
-            channel.clock.observe(newest_us, received_us)
+            doorway.clock.observe(newest_us, received_us)
         if len(records) < len(frames):
-            self.count_rejected(channel.sensor_id, len(frames) - len(records))
+            self.count_rejected(doorway.sensor_id, len(frames) - len(records))
         return _Sorted(results, records, order)
 
     def _refusal(self, sensor_id: str, frame: Frame, received_us: int) -> str | None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy import Engine
 
-from service.pipeline.channel import Channel
+from service.pipeline.channel import Doorway, Standing
 from service.pipeline.clocks import ClockReport
 from service.pipeline.live import LiveState, LiveView
 from service.pipeline.sqlite_log import SqliteLog
+from service.pipeline.tracker_processes import ProcessHealth
 from service.storage.database import file_bytes
 from service.telemetry import Telemetry
 
@@ -61,10 +61,11 @@ class HostHealth:
     """Where the whole host stands."""
 
     ready: bool
-    tracking: bool  # the tracker thread runs
+    tracking: bool  # the tracker's thread, or every process of it, runs
     log_refusal: str | None  # why frames are not taken now
     storage: StorageHealth
     sensors: tuple[SensorHealth, ...]
+    processes: tuple[ProcessHealth, ...] = ()  # of the tracker; none where a thread tracks
 
     @property
     def lag_s(self) -> float:
@@ -72,36 +73,45 @@ class HostHealth:
         return max((sensor.lag_s for sensor in self.sensors if sensor.failure is None), default=0.0)
 
 
-def sensor_health(channel: Channel[Any], live: LiveView, logged_position: int, now_us: int) -> SensorHealth:
-    """Return where a sensor stands."""
-    entry = live.newest(channel.sensor_id)
-    received_us = channel.received_us
+def sensor_health(
+    doorway: Doorway, standing: Standing, live: LiveView, logged_position: int, now_us: int
+) -> SensorHealth:
+    """Return where a sensor stands; a tracker process tells of itself twice a second, of tracks at once."""
+    entry = live.newest(doorway.sensor_id)
+    received_us = standing.received_us
+    if entry is not None and entry.received_us is not None:
+        received_us = max(entry.received_us, received_us or 0)
     return SensorHealth(
-        sensor_id=channel.sensor_id,
+        sensor_id=doorway.sensor_id,
         state="waiting" if entry is None else entry.state(now_us),
-        failure=channel.failure,
-        epoch=channel.state.epoch,
+        failure=standing.failure,
+        epoch=standing.epoch,
         logged_position=logged_position,
-        folded_position=channel.state.position,
-        stored_position=channel.shard.cursor,
+        folded_position=max(standing.folded_position, doorway.folded),
+        stored_position=standing.stored_position,
         received_us=received_us,
         frame_age_s=_age_s(now_us, received_us),
-        stored_age_s=_age_s(now_us, channel.stored_us),
-        lag_s=_age_s(now_us, channel.oldest_waiting_us()) or 0.0,
-        unstored_frames=len(channel.unstored_received_us),
-        clock=channel.clock.report(),
+        stored_age_s=_age_s(now_us, standing.stored_us),
+        lag_s=_age_s(now_us, doorway.oldest_waiting_us()) or 0.0,
+        unstored_frames=standing.unstored_frames,
+        clock=doorway.clock.report(),
     )
 
 
-def storage_health(log: SqliteLog, data_dir: Path, database: Engine, now_us: int) -> StorageHealth:
-    """Return how much is stored; looks at files only, so that the event loop may ask."""
+def storage_health(
+    log: SqliteLog, data_dir: Path, database: Engine, now_us: int, damaged_records: int = 0
+) -> StorageHealth:
+    """Return how much is stored; looks at files only, so that the event loop may ask.
+
+    damaged_records: those that tracker processes left out.
+    """
     disk = shutil.disk_usage(data_dir)
     return StorageHealth(
         log_bytes=log.size_bytes(),
         log_files=log.file_count(),
         log_oldest_age_s=_age_s(now_us, log.oldest_us()),
         log_waiting_records=log.waiting_records,
-        log_damaged_records=log.damaged_records,
+        log_damaged_records=log.damaged_records + damaged_records,
         rows_bytes=file_bytes(database),
         disk_free_share=disk.free / disk.total,
     )

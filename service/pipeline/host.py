@@ -1,4 +1,4 @@
-"""The embedded host: takes frames in, has them folded, and answers where everything stands. One process."""
+"""The embedded host: takes frames in, has them folded, and answers where everything stands."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from sqlalchemy import Engine
 
 from service.errors import NotFound, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
-from service.pipeline.channel import Channel, open_channel
+from service.pipeline.channel import Doorway, open_channel, open_doorway
 from service.pipeline.door import Door, ItemResult
 from service.pipeline.fold_state import Tracker
+from service.pipeline.folding import Folding
 from service.pipeline.health import HostHealth, StorageHealth, sensor_health, show, storage_health
-from service.pipeline.live import LiveView
+from service.pipeline.live import LiveEntry, LiveView
+from service.pipeline.nursery import Nursery
 from service.pipeline.order import flush
 from service.pipeline.records import ControlRecord, FrameRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
-from service.pipeline.tracker_thread import Pace, TrackerThread
+from service.pipeline.tracker_process import pace_of, wait_for_orphans
+from service.pipeline.tracker_processes import TrackerProcesses
+from service.pipeline.tracker_thread import Readers, TrackerThread
 from service.settings import Settings
 from service.storage.database import connection as reading
 from service.storage.sites import Sensor, list_sensors
@@ -41,9 +45,9 @@ def wall_clock_us() -> int:
 
 
 class EmbeddedHost:
-    """Log, tracker thread and live view of one process on one data directory."""
+    """Log, live view and tracker (a thread here, or processes) on one data directory."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - its collaborators
         self,
         database: Engine,
         settings: Settings,
@@ -51,19 +55,24 @@ class EmbeddedHost:
         tracker: Tracker[Any] | ModuleType = default_tracker,
         telemetry: Telemetry | None = None,
         clock_us: Callable[[], int] = wall_clock_us,
+        nursery: Nursery | None = None,
     ) -> None:
-        """Make a host on a migrated database; `start` opens its log."""
+        """Make a host on a migrated database; `start` opens its log.
+
+        nursery: where tracker processes are started, as many as the settings say; without it a thread tracks.
+        """
         self.live = LiveView()
         self.telemetry = telemetry or Telemetry()
         self._database = database
         self._settings = settings
         self._tracker: Any = tracker
         self._clock_us = clock_us
-        self._channels: dict[str, Channel[Any]] = {}  # replaced, never changed
+        self._nursery = nursery
+        self._doorways: dict[str, Doorway] = {}  # replaced, never changed
         self._configuring = threading.Lock()
         self._frame_log: SqliteLog | None = None
         self._door: Door | None = None
-        self._thread: TrackerThread[Any] | None = None
+        self._trackers: TrackerThread[Any] | TrackerProcesses | None = None
         self._upkeep: threading.Thread | None = None
         self._stopped = threading.Event()
         self.ready = False
@@ -81,36 +90,46 @@ class EmbeddedHost:
             free_share=self._settings.disk_free_min_share,
         )
         self._frame_log = SqliteLog(self._settings.log_dir, limits, on_durable=self._on_durable)
+        wait_for_orphans(self._settings.log_dir)
         self._door = Door(self._frame_log, self.telemetry, self._settings.clock_ahead_limit_s)
-        pace = Pace(
-            self._settings.flush_interval_s,
-            self._settings.snapshot_interval_s,
-            self._settings.snapshot_frames,
-        )
-        self._thread = TrackerThread(
-            self._database,
-            self._frame_log,
-            self.live,
-            self._tracker,
-            self.telemetry,
-            pace=pace,
-            clock_us=self._clock_us,
-        )
+        self._trackers = self._make_trackers(self._frame_log)
         for sensor in self._registered():
             self.configure(sensor)
-        for sensor_id in self._frame_log.sensors() - self._channels.keys():
+        for sensor_id in self._frame_log.sensors() - self._doorways.keys():
             self._frame_log.release(sensor_id, self._frame_log.last_position(sensor_id))
-        self._thread.start()
+        self._trackers.start()
         self._upkeep = threading.Thread(target=self._keep_up, name="wayside-upkeep", daemon=True)
         self._upkeep.start()
         self.ready = True
+
+    def _make_trackers(self, frame_log: SqliteLog) -> TrackerThread[Any] | TrackerProcesses:
+        readers = Readers(self.live, self.telemetry, self._clock_us, self._pass_folded)
+        count = max(self._settings.tracker_process_count, 1)
+        if self._nursery is not None:
+            return TrackerProcesses(self._nursery, count, frame_log, readers, self.telemetry)
+        return TrackerThread(
+            Folding(
+                self._database,
+                frame_log,
+                readers,
+                self._tracker,
+                self.telemetry,
+                pace=pace_of(self._settings),
+                clock_us=self._clock_us,
+            )
+        )
+
+    def _pass_folded(self, sensor_id: str, position: int) -> None:
+        doorway = self._doorways.get(sensor_id)
+        if doorway is not None:
+            doorway.pass_folded(position)
 
     def stop(self) -> None:
         """Take no more frames, fold and store what is logged, and let go of the files."""
         self.ready = False
         self._stopped.set()
-        if self._thread is not None and self._thread.alive:
-            self._thread.stop()
+        if self._trackers is not None:
+            self._trackers.stop()
         if self._upkeep is not None:
             self._upkeep.join()
         if self._frame_log is not None:
@@ -153,14 +172,16 @@ class EmbeddedHost:
         """
         frame_log = self._log()
         with self._configuring:
-            channel = self._channels.get(sensor.sensor_id)
-            if channel is None:
+            doorway = self._doorways.get(sensor.sensor_id)
+            if doorway is None:
                 self._take_in(sensor)
-            elif channel.config != sensor.config:
+            elif doorway.config != sensor.config:
                 record = ControlRecord(sensor.config.canonical_json(), self._clock_us())
                 frame_log.append(sensor.sensor_id, [record])
-                channel.config = sensor.config
-                channel.door, _ = flush(channel.door)
+                doorway.config = sensor.config
+                doorway.door, _ = flush(doorway.door)
+                if self._trackers is not None:
+                    self._trackers.reconfigure(sensor.config)
 
     def _take_in(self, sensor: Sensor) -> None:
         channel = open_channel(
@@ -171,18 +192,19 @@ class EmbeddedHost:
             now_us=self._clock_us(),
             now_s=time.monotonic(),
         )
-        self._channels = {**self._channels, sensor.sensor_id: channel}
-        if self._thread is not None:
-            self._thread.add(channel)
+        doorway = open_doorway(self._log(), sensor.config, channel.state, now_us=self._clock_us())
+        self.live.publish(LiveEntry(sensor.sensor_id, channel.state.position, channel.state.epoch))
+        self._doorways = {**self._doorways, sensor.sensor_id: doorway}
+        if self._trackers is not None:
+            self._trackers.add(channel, sensor.config)
 
     def forget(self, sensor_id: str) -> None:
         """Take no more frames of a sensor; what is logged is still folded and stored."""
         with self._configuring:
-            channel = self._channels.get(sensor_id)
-            self._channels = {k: v for k, v in self._channels.items() if k != sensor_id}
-        if channel is not None and self._thread is not None:
-            channel.leaving = True
-            self._thread.wake()
+            known = sensor_id in self._doorways
+            self._doorways = {k: v for k, v in self._doorways.items() if k != sensor_id}
+        if known and self._trackers is not None:
+            self._trackers.leave(sensor_id)
 
     def purge(self, sensor_id: str) -> None:
         """Remove an archived sensor's records from the log; raises Unavailable while they are folded."""
@@ -192,13 +214,13 @@ class EmbeddedHost:
 
     def config(self, sensor_id: str) -> SensorConfig:
         """Return the configuration by which a sensor's frames are decoded; raises NotFound."""
-        return self._channel(sensor_id).config
+        return self._doorway(sensor_id).config
 
-    def _channel(self, sensor_id: str) -> Channel[Any]:
-        channel = self._channels.get(sensor_id)
-        if channel is None:
+    def _doorway(self, sensor_id: str) -> Doorway:
+        doorway = self._doorways.get(sensor_id)
+        if doorway is None:
             raise NotFound(f"no sensor {sensor_id}")
-        return channel
+        return doorway
 
     def _log(self) -> SqliteLog:
         if self._frame_log is None:
@@ -212,43 +234,54 @@ class EmbeddedHost:
 
         Raises NotFound, and Unavailable when the log or the disk is full.
         """
-        channel = self._channel(sensor_id)
+        doorway = self._doorway(sensor_id)
         if not self.ready or self._door is None:
             raise Unavailable("the service is not ready")
-        return await self._door.submit(channel, frames, self._clock_us())
+        return await self._door.submit(doorway, frames, self._clock_us())
 
     def count_rejected(self, sensor_id: str, count: int) -> None:
         """Count frames of a sensor that could not be read."""
         if self._door is not None:
             self._door.count_rejected(sensor_id, count)
 
-    def _on_durable(self, sensor_id: str, position: int) -> None:  # noqa: ARG002 - what the log tells
-        if self._thread is not None:
-            self._thread.wake()
+    def _on_durable(self, positions: dict[str, int]) -> None:
+        if self._trackers is not None:
+            self._trackers.news(positions)
 
     # ------------------------------------------------------------- health
 
     def health(self) -> HostHealth:
         """Return where every sensor and the log stand, and bring the gauges up to date."""
-        now_us, frame_log = self._clock_us(), self._frame_log
+        now_us, frame_log, trackers = self._clock_us(), self._frame_log, self._trackers
+        storage, sensors = StorageHealth(), []
+        if frame_log is not None and trackers is not None:
+            storage = storage_health(
+                frame_log, self._settings.log_dir, self._database, now_us, trackers.damaged_records
+            )
+            for doorway in self._doorways.values():
+                standing = trackers.standing(doorway.sensor_id)
+                if standing is not None:
+                    logged = frame_log.last_position(doorway.sensor_id)
+                    sensors.append(sensor_health(doorway, standing, self.live, logged, now_us))
         found = HostHealth(
             ready=self.ready,
-            tracking=self._thread is not None and self._thread.alive,
+            tracking=trackers is not None and trackers.alive,
             log_refusal=None if frame_log is None else frame_log.refusal(),
-            storage=StorageHealth()
-            if frame_log is None
-            else storage_health(frame_log, self._settings.log_dir, self._database, now_us),
-            sensors=tuple(
-                sensor_health(channel, self.live, self._log().last_position(channel.sensor_id), now_us)
-                for channel in self._channels.values()
-            ),
+            storage=storage,
+            sensors=tuple(sensors),
+            processes=() if trackers is None else trackers.health(),
         )
         show(found, self.telemetry)
         return found
 
+    def metrics(self) -> bytes:
+        """Return the metrics of the host and of its tracker processes in Prometheus' text format."""
+        self.health()
+        return self.telemetry.text([] if self._trackers is None else self._trackers.samples())
+
     def recent_frames(self, sensor_id: str, count: int) -> list[FrameRecord]:
         """Return the frames among a sensor's newest `count` records; reads the disk. Raises NotFound."""
-        self._channel(sensor_id)
+        self._doorway(sensor_id)
         frame_log = self._log()
         after = max(0, frame_log.last_position(sensor_id) - count)
         records = (record for _, record in frame_log.read(sensor_id, after, count))

@@ -27,7 +27,7 @@ CREATE TABLE IF NOT EXISTS record (
 )"""
 _CARRIED_TABLE = """
 CREATE TABLE IF NOT EXISTS carried (sensor TEXT PRIMARY KEY, position INTEGER NOT NULL) WITHOUT ROWID"""
-_READ = "SELECT position, body FROM record WHERE sensor = ? AND position > ? ORDER BY position LIMIT ?"
+READ_RECORDS = "SELECT position, body FROM record WHERE sensor = ? AND position > ? ORDER BY position LIMIT ?"
 _FIRST = "SELECT min(position) FROM record WHERE sensor = ?"
 _LAST = "SELECT max(position) FROM record WHERE sensor = ?"
 _PURGE = """
@@ -104,7 +104,7 @@ class Segment:
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
         """Return up to `limit` bodies of a sensor with positions above `after`, in order."""
         with self._reading:
-            return self._reader.execute(_READ, (sensor_id, after, limit)).fetchall()
+            return self._reader.execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
 
     def purge(self, sensor_id: str) -> None:
         """Overwrite a sensor's records with zeros, in small parts so that appending never waits long."""

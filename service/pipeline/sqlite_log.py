@@ -60,11 +60,12 @@ class SqliteLog:
         self,
         folder: Path,
         limits: LogLimits = LogLimits(),
-        on_durable: Callable[[str, int], None] | None = None,
+        on_durable: Callable[[dict[str, int]], None] | None = None,
     ) -> None:
-        """Open the folder's log, or make one; `on_durable` hears of each sensor's newest position.
+        """Open the folder's log, or make one; `on_durable` hears of each commit.
 
-        `on_durable` is called from the writer thread and must not block. Raises StorageError when another
+        `on_durable` is called with the newest position of each sensor in the commit, from the writer thread,
+        and must not block. Raises StorageError when another
         process uses the folder.
         """
         self._folder = folder
@@ -198,8 +199,7 @@ class SqliteLog:
             for sensor_id, position in last.items():  # `reserve` may have raised others meanwhile
                 self._last[sensor_id] = max(position, self._last.get(sensor_id, 0))
         if self._on_durable is not None:
-            for sensor_id in {sensor_id for sensor_id, _, _ in rows}:
-                self._on_durable(sensor_id, last[sensor_id])
+            self._on_durable({sensor_id: position for sensor_id, position, _ in rows})
         for pending, positions in written:
             pending.done.set_result(positions)
 

@@ -95,8 +95,8 @@ def test_a_service_that_lags_is_not_ready(tmp_path):
         try:
             running.post("/sensors/radar-1/frames", json=recording("radar-1", 2)[0])
             assert running.client.get("/readyz").status_code == 200
-            channel = running.host._channels["radar-1"]
-            channel.waiting[0] = (channel.waiting[0][0], channel.waiting[0][1] - 5_100_000)
+            doorway = running.host._doorways["radar-1"]
+            doorway.waiting[0] = (doorway.waiting[0][0], doorway.waiting[0][1] - 5_100_000)
 
             reply = running.client.get("/readyz")
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 
 import pytest
 
@@ -29,8 +28,8 @@ class FakeChannel:
     def __init__(self, sensor_id) -> None:
         self.sensor_id, self.clock = sensor_id, ClockWatch()
         self.door = self.durable_door = OrderState()
-        self.door_failures = self.heard_us = 0
-        self.state = SimpleNamespace(position=1000)  # the tracker is ahead of what is posted here
+        self.door_failures = 0
+        self.folded = 1000  # the tracker is ahead of what is posted here
 
 
 def test_frames_that_the_log_refused_are_no_repeats_though_later_ones_were_logged():

@@ -16,9 +16,9 @@ from service.errors import NotFound, StorageError, Unavailable
 from service.formats.tracks import stored_line
 from service.pipeline.door import Outcome
 from service.pipeline.fold import TICK_US
+from service.pipeline.folding import TICK_GRACE_US
 from service.pipeline.host import EmbeddedHost
 from service.pipeline.offline import track
-from service.pipeline.tracker_thread import TICK_GRACE_US
 from service.settings import Settings
 from service.storage import migrate
 from service.storage.database import connection as reading
@@ -129,12 +129,12 @@ def folded_rows(frames) -> tuple[int, int]:
 
 def let_time_pass(host: EmbeddedHost, clock: Clock) -> None:
     """Move the clock on, second by second, until no track is left."""
-    channel = host._channels["radar-1"]
+    channel = host._trackers.channels["radar-1"]
     wait_until(lambda: caught_up(host))
     while not channel.state.quiet:
         ticks = channel.state.ticks
         clock.now_us += SECOND_US
-        host._thread.wake()
+        host._trackers.wake()
         waiting = clock.now_us - channel.heard_us < (ticks + 1) * TICK_US + TICK_GRACE_US
         wait_until(lambda ticks=ticks, waiting=waiting: waiting or channel.state.ticks > ticks)
     wait_until(lambda: caught_up(host))
@@ -290,7 +290,7 @@ def test_a_changed_configuration_is_taken_over_between_frames(running, database)
         host.configure(sensor)
         assert host.config("radar-1") == changed
         wait_until(lambda: caught_up(host))
-        assert host._channels["radar-1"].state.config == changed.canonical_json()
+        assert host._trackers.channels["radar-1"].state.config == changed.canonical_json()
 
     with running() as host:  # and after a restart no second record of it is needed
         assert host.health().sensors[0].logged_position == 7
@@ -305,7 +305,7 @@ def test_a_configuration_changed_while_the_host_was_down_is_logged_at_the_start(
 
     with running() as host:
         wait_until(lambda: caught_up(host))
-        assert host._channels["radar-1"].state.config == changed.canonical_json()
+        assert host._trackers.channels["radar-1"].state.config == changed.canonical_json()
 
 
 def test_silence_ends_tracks_by_ticks(running, database, clock):
@@ -316,7 +316,7 @@ def test_silence_ends_tracks_by_ticks(running, database, clock):
         logged = host.health().sensors[0].logged_position
 
         clock.now_us += 60 * SECOND_US
-        host._thread.wake()
+        host._trackers.wake()
         assert host.health().sensors[0].logged_position == logged
 
     summaries, _ = stored_rows(database)
@@ -367,7 +367,7 @@ def test_one_failing_sensor_does_not_stop_the_others(running, database):
         submit(host, recording(5))
         submit(host, [dataclasses.replace(f, sensor_id="radar-2") for f in recording(5)], "radar-2")
         wait_until(lambda: host.live.newest("radar-2").version == 6)
-        wait_until(lambda: host._channels["radar-1"].failure is not None)
+        wait_until(lambda: host._trackers.channels["radar-1"].failure is not None)
         failures = {s.sensor_id: s.failure for s in host.health().sensors}
 
     assert failures["radar-2"] is None

@@ -108,9 +108,7 @@ def test_the_event_loop_can_await_an_append_and_a_cancelled_caller_takes_nothing
 
 def test_the_host_hears_of_durable_records_before_the_caller(tmp_path):
     heard: list[tuple[str, int]] = []
-    frame_log = SqliteLog(
-        tmp_path, on_durable=lambda sensor_id, position: heard.append((sensor_id, position))
-    )
+    frame_log = SqliteLog(tmp_path, on_durable=lambda positions: heard.extend(positions.items()))
     try:
         frame_log.append("radar-1", ALL_KINDS)
         assert heard == [("radar-1", 4)]

@@ -1,0 +1,344 @@
+"""The tracker in processes of its own: the same rows, and nothing lost or doubled when one is killed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from sqlalchemy import Engine
+
+from service.errors import StorageError
+from service.pipeline import tracker_process
+from service.pipeline.host import EmbeddedHost
+from service.pipeline.nursery import Nursery
+from service.settings import Settings
+from service.storage import migrate
+from service.storage.database import connection as reading
+from service.storage.database import open_database, session_scope
+from service.storage.events import list_events
+from service.storage.sites import create_sensor, update_sensor
+from service.storage.tables import track_states, tracks
+from tests.pipeline import simple_tracker
+from tests.pipeline.recordings import (
+    CONFIG,
+    START_US,
+    all_rows,
+    fold_records,
+    pausing_recording,
+    recording,
+    records,
+)
+
+SECOND_US = 1_000_000
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Engine]:
+    engine = open_database(f"sqlite:///{tmp_path}/rows.sqlite")
+    migrate.upgrade(engine)
+    with session_scope(engine) as writer:
+        create_sensor(writer, CONFIG, now_us=START_US)
+    engine.dispose()
+    yield engine
+    engine.dispose()
+
+
+@pytest.fixture
+def running(database: Engine, tmp_path: Path) -> Callable[..., contextlib.AbstractContextManager]:
+    """Return a context manager of a host with tracker processes on the test's data directory."""
+
+    @contextlib.contextmanager
+    def run(tracker=simple_tracker, **changes: object) -> Iterator[EmbeddedHost]:
+        clock = changes.pop("clock_us", lambda: START_US + SECOND_US)
+        values = {"flush_interval_s": 0.01, "tracker_processes": 1} | changes
+        settings = Settings(data_dir=tmp_path, disk_free_min_share=0.0, clock_ahead_limit_s=1e9, **values)
+        nursery = Nursery({tracker_process.WORK: tracker_process.work_of(settings, tracker, clock)})
+        host = EmbeddedHost(database, settings, tracker=tracker, clock_us=clock, nursery=nursery)
+        try:
+            host.start()
+            yield host
+        finally:
+            host.stop()
+            nursery.close()
+
+    return run
+
+
+def submit(host: EmbeddedHost, frames, sensor_id: str = "radar-1") -> list[str]:
+    return [result.outcome.value for result in asyncio.run(host.submit(sensor_id, frames))]
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come true in 30 s"
+        time.sleep(0.005)
+
+
+def caught_up(host: EmbeddedHost) -> bool:
+    return all(s.stored_position == s.logged_position for s in host.health().sensors)
+
+
+def stored_rows(database: Engine) -> tuple[list, list]:
+    """What the database holds of tracks and states, without log positions and storage days."""
+    with reading(database) as reader:
+        summaries = [
+            tuple(v for k, v in row._mapping.items() if k not in {"as_of", "stored_day"})
+            for row in reader.execute(tracks.select().order_by(tracks.c.epoch, tracks.c.number))
+        ]
+        order = (track_states.c.epoch, track_states.c.number, track_states.c.second)
+        blocks = [tuple(row) for row in reader.execute(track_states.select().order_by(*order))]
+    return summaries, blocks
+
+
+def folded_rows(frames) -> tuple[int, int]:
+    rows = all_rows(fold_records(records(frames))[1])
+    return len(rows.tracks), len(rows.blocks)
+
+
+def pid_of(host: EmbeddedHost) -> int:
+    (process,) = host.health().processes
+    assert process.pid is not None
+    return process.pid
+
+
+def test_frames_are_tracked_served_and_stored_by_a_process(running, database):
+    frames = recording(50)
+    with running() as host:
+        assert submit(host, frames) == ["accepted"] * 50
+        wait_until(lambda: caught_up(host))
+        entry = host.live.newest("radar-1")
+        (health,) = host.health().sensors
+        text = host.metrics().decode()
+        child = pid_of(host)
+
+    assert entry.folded.number == 50
+    assert list(entry.folded.estimates.number) == [1, 2]
+    assert len(entry.points_from.frame) == 2
+    assert (health.state, health.queue_depth, health.failure) == ("live", 0, None)
+    assert 'wayside_frames_total{fate="tracked",sensor_id="radar-1"} 50.0' in text
+    assert 'wayside_tracks{sensor_id="radar-1",status="confirmed"} 2.0' in text
+    assert 'wayside_stage_seconds_count{stage="logged"}' in text
+    assert 'wayside_stage_seconds_count{stage="folded"} 50.0' in text
+    assert child != os.getpid()
+    summaries, blocks = stored_rows(database)
+    assert (len(summaries), len(blocks)) == folded_rows(frames)
+
+
+def test_a_reader_is_woken_when_a_process_has_tracked_a_frame(running):
+    async def run(host: EmbeddedHost) -> int:
+        await host.submit("radar-1", recording(1))
+        version = 0
+        while version < 2:
+            version = (await host.live.wait("radar-1", version, 20.0)).version
+        return version
+
+    with running() as host:
+        assert asyncio.run(run(host)) == 2
+
+
+def test_processes_store_the_same_rows_as_a_thread(running, database, tmp_path):
+    frames = pausing_recording()
+    with running() as host:
+        submit(host, frames)
+    in_processes = stored_rows(database)
+
+    other = tmp_path / "thread"
+    engine = open_database(f"sqlite:///{other}/rows.sqlite")
+    migrate.upgrade(engine)
+    with session_scope(engine) as writer:
+        create_sensor(writer, CONFIG, now_us=START_US)
+    settings = Settings(data_dir=other, disk_free_min_share=0.0, clock_ahead_limit_s=1e9)
+    host = EmbeddedHost(engine, settings, tracker=simple_tracker, clock_us=lambda: START_US + SECOND_US)
+    host.start()
+    submit(host, frames)
+    host.stop()
+
+    assert in_processes == stored_rows(engine)
+    assert len(in_processes[0]) == 4
+    engine.dispose()
+
+
+def test_silence_ends_tracks_by_ticks_that_the_process_asks_for(running, database):
+    begun_s = time.monotonic()
+    hurried = lambda: START_US + round((time.monotonic() - begun_s) * 20 * SECOND_US)  # noqa: E731
+    with running(clock_us=hurried) as host:
+        submit(host, recording(30))
+        wait_until(lambda: caught_up(host) and len(host.live.newest("radar-1").folded.estimates) == 0)
+        wait_until(lambda: caught_up(host))
+
+    summaries, _ = stored_rows(database)
+    assert len(summaries) == 2
+    assert all(row[3] for row in summaries)  # ended
+
+
+def test_a_killed_process_is_started_again_and_nothing_is_lost_or_doubled(running, database):
+    frames = recording(120)
+    with running(snapshot_frames=20) as host:
+        versions = []
+        publish = host.live.publish
+        host.live.publish = lambda entry: (versions.append((entry.epoch, entry.version)), publish(entry))
+        for first in range(0, 120, 30):
+            submit(host, frames[first : first + 30])
+            wait_until(lambda: host.health().sensors[0].queue_depth == 0)
+            os.kill(pid_of(host), signal.SIGKILL)
+            wait_until(lambda n=first // 30 + 1: host.health().processes[0].restarts == n)
+        wait_until(lambda: host.health().tracking and caught_up(host))
+        entry = host.live.newest("radar-1")
+        text = host.metrics().decode()
+
+    assert entry.folded.number == 120
+    assert versions == sorted(set(versions))  # readers never go back
+    assert 'wayside_tracker_process_restarts_total{process="0"} 4.0' in text
+    summaries, blocks = stored_rows(database)
+    assert (len(summaries), len(blocks)) == folded_rows(frames)
+    with reading(database) as reader:
+        assert not list_events(reader, "radar-1").items
+
+
+def test_frames_are_taken_while_no_process_runs(running, database):
+    frames = recording(60)
+    with running() as host:
+        submit(host, frames[:20])
+        os.kill(pid_of(host), signal.SIGKILL)
+        wait_until(lambda: not host.health().tracking)
+        assert submit(host, frames[20:]) == ["accepted"] * 40
+        assert host.ready
+        wait_until(lambda: caught_up(host) and host.live.newest("radar-1").folded.number == 60)
+
+    assert tuple(map(len, stored_rows(database))) == folded_rows(frames)
+
+
+def test_a_changed_configuration_goes_over_and_survives_a_new_process(running, database):
+    changed = CONFIG.model_copy(update={"filter": "ekf"})
+    with running() as host:
+        submit(host, recording(5))
+        with session_scope(database) as writer:
+            sensor = update_sensor(writer, "radar-1", {"config": changed}, now_us=START_US)
+        host.configure(sensor)
+        os.kill(pid_of(host), signal.SIGKILL)
+        wait_until(lambda: host.health().processes[0].restarts == 1 and caught_up(host))
+        submit(host, recording(10)[5:])
+        wait_until(lambda: caught_up(host))
+
+        assert host.live.newest("radar-1").folded.number == 10
+        assert host.health().sensors[0].logged_position == 12
+
+
+def test_a_forgotten_sensor_is_let_go_and_its_log_can_be_purged(running, database):
+    with running() as host:
+        submit(host, recording(30))
+        host.forget("radar-1")
+        wait_until(lambda: host.live.newest("radar-1") is None)
+        host.purge("radar-1")
+        assert host._frame_log.read("radar-1", 0, 10) == []
+        assert host.health().processes[0].sensors == 0
+
+    assert len(stored_rows(database)[0]) == 2
+
+
+def test_the_log_may_drop_what_the_process_has_a_snapshot_of(running):
+    with running(snapshot_interval_s=0.3) as host:
+        submit(host, recording(30))
+        wait_until(lambda: caught_up(host))
+        last = host._frame_log.last_position("radar-1")
+        wait_until(lambda: host._frame_log._released.get("radar-1") == last)
+
+
+def test_a_process_follows_the_log_over_many_files(running, database):
+    frames = recording(200)
+    with running(log_limit_bytes=8 * 65_536, snapshot_frames=10) as host:
+        for first in range(0, 200, 20):
+            submit(host, frames[first : first + 20])
+            wait_until(lambda: caught_up(host))
+        assert host._frame_log.file_count() > 1
+
+    assert tuple(map(len, stored_rows(database))) == folded_rows(frames)
+
+
+def test_sensors_are_shared_among_the_processes(running, database):
+    with session_scope(database) as writer:
+        for n in (2, 3, 4):
+            config = CONFIG.model_copy(update={"sensor_id": f"radar-{n}"})
+            create_sensor(writer, config, now_us=START_US)
+    database.dispose()
+    with running(tracker_processes=2) as host:
+        for n in (1, 2, 3, 4):
+            name = f"radar-{n}"
+            submit(host, [dataclasses.replace(f, sensor_id=name) for f in recording(20)], name)
+        wait_until(lambda: caught_up(host))
+        health = host.health()
+
+    assert [process.sensors for process in health.processes] == [2, 2]
+    assert len({process.pid for process in health.processes}) == 2
+    assert {sensor.folded_position for sensor in health.sensors} == {21}
+
+
+def test_one_failing_sensor_does_not_stop_the_others_of_its_process(running, database):
+    def fail(state, one, parameters):
+        if one.sensor_id == "radar-1" and one.sequence == 3:
+            raise ZeroDivisionError("made up")
+        return simple_tracker.step(state, one, parameters)
+
+    failing = SimpleNamespace(
+        initial_state=simple_tracker.initial_state, step=fail, coast=simple_tracker.coast
+    )
+    with session_scope(database) as writer:
+        create_sensor(writer, CONFIG.model_copy(update={"sensor_id": "radar-2"}), now_us=START_US)
+    database.dispose()
+    with running(failing) as host:
+        submit(host, recording(5))
+        submit(host, [dataclasses.replace(f, sensor_id="radar-2") for f in recording(5)], "radar-2")
+        wait_until(lambda: host.live.newest("radar-2").version == 6)
+        wait_until(lambda: host.health().sensors[0].failure is not None)
+        failures = {s.sensor_id: s.failure for s in host.health().sensors}
+
+    assert failures == {"radar-1": "record 4: ZeroDivisionError: made up", "radar-2": None}
+
+
+def test_a_second_host_is_refused_and_the_first_goes_on(running):
+    with running() as host:
+        with pytest.raises(StorageError, match="another process"), running():
+            pass
+        assert submit(host, recording(3)) == ["accepted"] * 3
+        wait_until(lambda: caught_up(host))
+
+
+def test_a_host_waits_for_the_processes_of_a_killed_one(tmp_path):
+    (tmp_path / "log").mkdir()
+    mark = tracker_process._mark(tmp_path / "log")
+    tracker_process.fcntl.flock(mark, tracker_process.fcntl.LOCK_SH)
+    patience, tracker_process.ORPHANS_S = tracker_process.ORPHANS_S, 0.05
+    try:
+        with pytest.raises(StorageError, match="earlier run"):
+            tracker_process.wait_for_orphans(tmp_path / "log")
+    finally:
+        tracker_process.ORPHANS_S = patience
+        os.close(mark)
+    tracker_process.wait_for_orphans(tmp_path / "log")
+
+
+def test_a_nursery_starts_work_hands_files_over_and_ends_with_its_owner():
+    def work(descriptors, arguments):
+        os.write(descriptors[0], str(arguments["n"] + 1).encode())
+
+    nursery = Nursery({"add": work})
+    reading_end, writing_end = os.pipe()
+    pid = nursery.start("add", [writing_end], {"n": 41})
+    os.close(writing_end)
+
+    assert os.read(reading_end, 100) == b"42"
+    assert os.read(reading_end, 100) == b""
+    assert pid not in {os.getpid(), nursery.pid}
+    os.close(reading_end)
+    nursery.close()
+    with pytest.raises(StorageError, match="gone"):
+        nursery.start("add", [], {"n": 1})
