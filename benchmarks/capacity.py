@@ -1,6 +1,7 @@
 """Raise the number of sensors until a real service no longer keeps its bars; print where the time goes.
 
-    python benchmarks/capacity.py [--from 4] [--to 24] [--step 2] [--minutes 0.5] [--json OUT.json]
+    python benchmarks/capacity.py [--from 6] [--to 30] [--step 2] [--minutes 0.5] [--points 140]
+        [--trackers N] [--json OUT.json]
 
 Each step is a run of benchmarks/soak.py with that many sensors of 20 Hz and 30 vehicles, everything stored. A
 number of sensors is carried when nothing is lost or doubled, the tracker ends less than a second behind, and
@@ -34,12 +35,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--from", dest="first", type=int, default=4)
-    parser.add_argument("--to", dest="last", type=int, default=24)
+    parser.add_argument("--from", dest="first", type=int, default=6)
+    parser.add_argument("--to", dest="last", type=int, default=30)
     parser.add_argument("--step", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=0.5)
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--vehicles", type=int, default=30)
+    parser.add_argument("--points", type=int, default=140)
+    parser.add_argument("--trackers", type=int)
     parser.add_argument("--warm", type=float, default=15.0)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -54,7 +57,9 @@ def main() -> None:
         print(
             f"{sensors} sensors: p95 {found.get('readable_p95_ms')} ms, "
             f"p99 {found.get('readable_p99_ms')} ms, "
-            f"drained in {found['drained_s']} s; cores: {cores}; {'carried' if kept else 'not carried'}",
+            f"drained in {found['drained_s']} s; cores: {cores}; "
+            f"mean ms since receipt: {found['mean_ms_since_receipt']}; "
+            f"{'carried' if kept else 'not carried'}",
             flush=True,
         )
         if not kept:

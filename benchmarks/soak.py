@@ -1,13 +1,13 @@
 """Soak a real service: is anything lost or doubled, and do memory and latency stay where they were?
 
-    python benchmarks/soak.py [--minutes 3] [--sensors 10] [--rate 20] [--vehicles 30]
-        [--warm 15] [--json OUT.json]
+    python benchmarks/soak.py [--minutes 3] [--sensors 10] [--rate 20] [--vehicles 30] [--points 140]
+        [--warm 15] [--trackers N] [--json OUT.json]
 
 Starts `wayside serve` in a process of its own on a temporary folder and a free port, and posts to it over
-HTTP from this process, one frame a request, each sensor at its rate and with traffic that never ends. Two
-sensors are watched by long polling: "readable" is the time from the first byte of a frame's post to the reply
-that holds its tracks. Everything is stored. Wall times are those of the machine as busy as it was; the numpy
-product of the same run says how busy.
+HTTP from this process, one frame a request, each sensor at its rate and with traffic that never ends: thirty
+vehicles give 140 points a frame. Two sensors are watched by long polling: "readable" is the time from the
+first byte of a frame's post to the reply that holds its tracks. Everything is stored. Wall times are those of
+the machine as busy as it was; the numpy product of the same run says how busy.
 """
 
 from __future__ import annotations
@@ -32,20 +32,24 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # before numpy is imported
 
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
 import httpx  # noqa: E402
 import numpy as np  # noqa: E402
 import orjson  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
+from benchmarks.process_tree import cores, cpu_by_role, resident_mb  # noqa: E402
+
 LOOP_S = 55.0  # of the traffic: at 10, 12 and 14 m/s every vehicle is then where it was
 STRETCH_M = 110.0
-POINTS_OF_A_VEHICLE = 10
 WATCHED = 2
 START_PATIENCE_S = 300.0  # kernels may have to be compiled
 BARS = {"readable_p95_ms": 100.0, "readable_p99_ms": 200.0, "drift": 0.05, "lost": 0, "doubled": 0}
 Options = argparse.Namespace
 FRAME_FATE = re.compile(r'wayside_frames_total\{fate="(\w+)",sensor_id="[^"]*"\} ([\d.e+]+)')
 SUM = re.compile(r"wayside_(fold|flush)_seconds_sum ([\d.e+-]+)")
+STAGE = re.compile(r'wayside_stage_seconds_(sum|count)\{stage="(\w+)"\} ([\d.e+-]+)')
 
 
 @dataclass
@@ -92,22 +96,23 @@ def numpy_product_us() -> float:
     return 1e6 * float(np.median(took))
 
 
-def detections(vehicles: int, rate_hz: float, seed: int) -> list[bytes]:
+def detections(vehicles: int, points: int, rate_hz: float, seed: int) -> list[bytes]:
     """Return the detections of one loop of traffic, as JSON; vehicles on three lanes at steady speeds."""
     rng = np.random.default_rng(seed)
     lane = np.arange(vehicles) % 3
     x0, speed = 3.5 * lane - 3.5, 10.0 + 2.0 * lane  # one speed a lane: nobody drives into another
     y0 = STRETCH_M * (np.arange(vehicles) // 3) / max(1, -(-vehicles // 3)) + 3.0 * lane
+    of = np.arange(points) % vehicles  # the vehicle of each point
     made = []
     for k in range(round(LOOP_S * rate_hz)):
-        y = 25.0 + np.repeat((y0 + speed * k / rate_hz) % STRETCH_M, POINTS_OF_A_VEHICLE)
-        x = np.repeat(x0, POINTS_OF_A_VEHICLE) + rng.uniform(-0.8, 0.8, len(y))
+        y = 25.0 + ((y0 + speed * k / rate_hz) % STRETCH_M)[of]
+        x = x0[of] + rng.uniform(-0.8, 0.8, len(y))
         y = y + rng.uniform(-2.0, 2.0, len(y))
         r = np.hypot(x, y)
         columns = {
             "range_m": r.round(2).tolist(),
             "azimuth_deg": np.degrees(np.arctan2(x, y)).round(2).tolist(),
-            "radial_velocity_mps": (np.repeat(speed, POINTS_OF_A_VEHICLE) * y / r).round(2).tolist(),
+            "radial_velocity_mps": (speed[of] * y / r).round(2).tolist(),
             "snr_db": rng.uniform(15, 28, len(y)).round(1).tolist(),
         }
         made.append(orjson.dumps(columns))
@@ -187,23 +192,15 @@ async def keep_time(run: Run, pid: int, warm_s: float) -> None:
         run.windows.append(Window())
 
 
-def resident_mb(pid: int) -> float:
-    text = Path(f"/proc/{pid}/status").read_text()
-    return int(re.search(r"VmRSS:\s+(\d+)", text).group(1)) / 1024  # type: ignore[union-attr]
-
-
-def cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 # ------------------------------------------------------------- the service
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+def serving(folder: Path, trackers: int | None) -> Iterator[tuple[subprocess.Popen[str], int]]:
     command = [sys.executable, "-m", "service.cli.main", "serve", "--port", "0", "--data-dir", str(folder)]
     environment = {**os.environ, "WAYSIDE_LOG_LEVEL": "warning"}
+    if trackers is not None:
+        environment["WAYSIDE_TRACKER_PROCESSES"] = str(trackers)
     process = subprocess.Popen(  # noqa: S603 - our own command
         command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True
     )
@@ -225,20 +222,24 @@ def soak(options: argparse.Namespace) -> dict[str, object]:
     """Run once and return the result."""
     ids = [f"radar-{n}" for n in range(options.sensors)]
     options.sent = {sensor_id: {} for sensor_id in ids}
-    loop_frames = detections(options.vehicles, options.rate, seed=1)
+    loop_frames = detections(options.vehicles, options.points, options.rate, seed=1)
     run, before_us = Run(), numpy_product_us()
-    with tempfile.TemporaryDirectory(prefix="wayside-soak-") as name, serving(Path(name)) as (process, port):
+    with (
+        tempfile.TemporaryDirectory(prefix="wayside-soak-") as name,
+        serving(Path(name), options.trackers) as (process, port),
+    ):
         url = f"http://127.0.0.1:{port}"
         for sensor_id in ids:
             body = {"sensor_id": sensor_id, "rate_hz": options.rate}
             httpx.post(f"{url}/api/v1/sensors", json=body).raise_for_status()
-        begun_s, begun_cpu_s = time.perf_counter(), cpu_s(process.pid)
+        begun_s, begun_cpu_s = time.perf_counter(), cpu_by_role(process.pid)
         asyncio.run(load(run, process.pid, port, ids, loop_frames, options))
-        spent_s, spent_cpu_s = time.perf_counter() - begun_s, cpu_s(process.pid) - begun_cpu_s
+        spent_s = time.perf_counter() - begun_s
+        busy = cores(begun_cpu_s, cpu_by_role(process.pid), spent_s)
         drained_s = drain(url)
         metrics = httpx.get(f"{url}/metrics").text
         sizes = {p.name: p.stat().st_size for p in sorted(Path(name).rglob("*.sqlite*")) if p.is_file()}
-    return result(options, run, metrics, sizes, spent_s, spent_cpu_s, drained_s, before_us)
+    return result(options, run, metrics, sizes, spent_s, busy, drained_s, before_us)
 
 
 async def load(  # noqa: PLR0913, PLR0917
@@ -269,7 +270,7 @@ def result(  # noqa: PLR0913, PLR0917
     metrics: str,
     sizes: dict[str, int],
     spent_s: float,
-    spent_cpu_s: float,
+    busy: dict[str, float],
     drained_s: float,
     before_us: float,
 ) -> dict[str, object]:
@@ -286,6 +287,7 @@ def result(  # noqa: PLR0913, PLR0917
         "sensors": options.sensors,
         "rate_hz": options.rate,
         "vehicles": options.vehicles,
+        "points": options.points,
         "minutes": round(spent_s / 60, 2),
         "posted": run.posted,
         "refused_then_taken": run.refused,
@@ -297,10 +299,11 @@ def result(  # noqa: PLR0913, PLR0917
         **drift(windows),
         "drained_s": round(drained_s, 2),
         "cores": {
-            "service": round(spent_cpu_s / spent_s, 2),
+            **busy,
             "fold": round(sums.get("fold", 0) / spent_s, 2),
             "flush": round(sums.get("flush", 0) / spent_s, 2),
         },
+        "mean_ms_since_receipt": stages(metrics),
         "log_mb_per_sensor_hour": round(log_bytes / 1e6 / hours, 1),
         "rows_mb_per_sensor_hour": round(rows_bytes / 1e6 / hours, 1),
         "numpy_product_us": [round(before_us, 3), round(numpy_product_us(), 3)],
@@ -312,6 +315,16 @@ def result(  # noqa: PLR0913, PLR0917
             "load_1min": round(os.getloadavg()[0], 1),
         },
         "minutes_one_by_one": [w.row() for w in windows],
+    }
+
+
+def stages(metrics: str) -> dict[str, float]:
+    """Return how long after its receipt a frame was logged, folded, readable, stored, in the mean."""
+    found = {(what, stage): float(value) for what, stage, value in STAGE.findall(metrics)}
+    return {
+        stage: round(1e3 * found["sum", stage] / count, 2)
+        for (what, stage), count in found.items()
+        if what == "count" and count
     }
 
 
@@ -337,6 +350,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--sensors", type=int, default=10)
     parser.add_argument("--rate", type=float, default=20.0)
     parser.add_argument("--vehicles", type=int, default=30)
+    parser.add_argument("--points", type=int, default=140, help="of a frame")
+    parser.add_argument("--trackers", type=int, help="tracker processes; the service's default unless told")
     parser.add_argument("--warm", type=float, default=15.0, help="seconds that are not measured")
     parser.add_argument("--json", type=Path)
     return parser.parse_args()
