@@ -31,20 +31,30 @@ from service.api import (
 from service.api.bodies import BodyRoom
 from service.api.broadcast import Broadcasts
 from service.api.dependencies import Services
+from service.api.exports import Exports
 from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
 from service.api.intake import Intake
 from service.api.rates import RateLimits
 from service.api.security import Keyring, is_loopback
 from service.api.writes import Writes
 from service.pipeline.host import EmbeddedHost
+from service.pipeline.nursery import Nursery
 from service.settings import Settings
 
 PARSED_BATCHES = 2  # at once; parsing holds the interpreter, so more would only take memory
 
 
-def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecure: bool = False) -> FastAPI:
+def create_app(
+    host: EmbeddedHost,
+    engine: Engine,
+    settings: Settings,
+    *,
+    insecure: bool = False,
+    nursery: Nursery | None = None,
+) -> FastAPI:
     """Return the application; it starts the host when it starts, and stops it when it ends.
 
+    nursery: where processes for exports are started; without it threads make them.
     insecure: be open while no key exists also when other machines can reach the service.
     """
     local = is_loopback(settings.host)
@@ -75,6 +85,7 @@ def create_app(host: EmbeddedHost, engine: Engine, settings: Settings, *, insecu
         BodyRoom(settings.body_limit_bytes),
         RateLimits(settings),
         CapacityLimiter(PARSED_BATCHES),
+        Exports(engine, nursery),
     )
     for module in (
         frames,

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Engine
 
 from service.api.bodies import BodyRoom
 from service.api.broadcast import Broadcasts
+from service.api.exports import Exports
 from service.api.problems import HttpProblem
 from service.api.rates import RateLimits
 from service.api.security import SESSION_COOKIE, Caller, Keyring
@@ -37,6 +38,7 @@ class Services:
     room: BodyRoom  # for bodies of frames
     rates: RateLimits
     batches: CapacityLimiter  # batches that are parsed at once: each may take ten times its size in memory
+    exports: Exports
 
 
 def services_of(request: Request) -> Services:

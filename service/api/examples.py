@@ -237,6 +237,7 @@ HEALTH: Final = {
             "unstored_frames": 12,
         }
     ],
+    "tracker_processes": [{"running": True, "restarts": 0, "sensors": 1}],
 }
 DIAGNOSIS: Final = {
     "sensor_id": "radar-1",

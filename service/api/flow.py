@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import orjson
 from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Engine
 
 from service.api.dependencies import (
     PREFIX,
@@ -23,6 +23,7 @@ from service.api.dependencies import (
     TimeText,
     time_range_us,
 )
+from service.api.exports import exported
 from service.api.flow_schemas import (
     CellReply,
     CellRow,
@@ -121,12 +122,33 @@ def read_crossings(  # noqa: PLR0913, PLR0917 - one parameter of the query each
         return _page(request, items, page.next_cursor)
     if cursor is not None:
         raise InvalidInput.at("/cursor", "only JSON comes in pages; this format streams all at once")
-    rows = (
-        row
-        for table in store.stream_crossings(services.engine, query)
-        for row in crossing_fields(sensor_id, table)
-    )
-    return _export(form, rows, tuple(CrossingReply.model_fields), units)
+    if form == "parquet":  # its file is made as a whole
+        return _parquet(_crossing_rows(services.engine, query), tuple(CrossingReply.model_fields), units)
+    asked = {"sensor_id": sensor_id, "start_us": query.start_us, "end_us": query.end_us, "line_id": line_id}
+    return services.exports.stream("crossings", {"form": form, "units": units, **asked}, MEDIA_TYPES[form])
+
+
+@exported("crossings")
+def crossing_pieces(  # noqa: PLR0913 - what is asked for
+    engine: Engine,
+    *,
+    form: str,
+    units: Units,
+    sensor_id: str,
+    start_us: int,
+    end_us: int,
+    line_id: str | None,
+) -> Iterator[bytes]:
+    """Yield the crossings of a window as NDJSON or CSV."""
+    rows = _crossing_rows(engine, CrossingQuery(sensor_id, start_us, end_us, line_id))
+    if form == "ndjson":
+        return (orjson.dumps(row) + b"\n" for row in rows)
+    return (line.encode() for line in csv_rows(rows, tuple(CrossingReply.model_fields), units))
+
+
+def _crossing_rows(engine: Engine, query: CrossingQuery) -> Iterator[dict[str, object]]:
+    for table in store.stream_crossings(engine, query):
+        yield from crossing_fields(query.sensor_id, table)
 
 
 @router.get("/sensors/{sensor_id}/flow", tags=["counts"], response_model=FlowReply, responses=_EXPORTS)

@@ -15,6 +15,7 @@ import uvicorn
 from fastapi import FastAPI
 from sqlalchemy import Engine
 
+from service.api import exports
 from service.api.app import create_app
 from service.api.dependencies import Services
 from service.api.security import is_loopback
@@ -63,7 +64,7 @@ def run(
             refuse_open_network(engine, settings, insecure=insecure)
             nursery = _nursery(engine, settings)
             host = EmbeddedHost(engine, settings, nursery=nursery)
-            app = create_app(host, engine, settings, insecure=insecure)
+            app = create_app(host, engine, settings, insecure=insecure, nursery=nursery)
             failures = _watch(app, host, beside)
             server = Server(app, settings, on_ready)
             sys.setswitchinterval(SWITCH_S)
@@ -84,7 +85,12 @@ def _nursery(engine: Engine, settings: Settings) -> Nursery | None:
     if not settings.tracker_process_count:
         return None
     engine.dispose()  # a connection must not be shared with a fork
-    return Nursery({tracker_process.WORK: tracker_process.work_of(settings, tracker, wall_clock_us)})
+    return Nursery(
+        {
+            tracker_process.WORK: tracker_process.work_of(settings, tracker, wall_clock_us),
+            exports.WORK: exports.work_of(settings.rows_url),
+        }
+    )
 
 
 def refuse_open_network(engine: Engine, settings: Settings, *, insecure: bool) -> None:

@@ -23,6 +23,7 @@ from service.api.dependencies import (
     TimeText,
     time_range_us,
 )
+from service.api.exports import exported
 from service.api.negotiation import MEDIA_TYPES, choose_format
 from service.api.paging import next_link
 from service.api.schemas import Page
@@ -106,8 +107,8 @@ def read_tracks(  # noqa: PLR0913, PLR0917 - one parameter of the query each
     paging.refuse()
     if sensor_id is not None:
         ordinal_of(reader, sensor_id)  # NotFound now; inside the stream it would come too late
-    found = tracks.stream_tracks(services.engine, query)
-    return _stream(form, _track_stream(form, found, services.engine))
+    window = {"sensor_id": sensor_id, "start_us": query.start_us, "end_us": query.end_us}
+    return services.exports.stream("tracks", {"form": form, **window}, MEDIA_TYPES[form])
 
 
 @router.get("/tracks/{track_id}", tags=["tracks"], response_model=TrackReply, responses=_EXPORTS)
@@ -162,17 +163,31 @@ def read_states(  # noqa: PLR0913, PLR0917 - one parameter of the query each
     """All states of a sensor in [start, end), a line for each frame, as in tracks.jsonl; or CSV."""
     form = choose_format(request, wanted, ("ndjson", "csv"))
     start_us, end_us = time_range_us(start, end)
-    pose = _pose(reader, sensor_id)
-    found = states.stream_states(
-        services.engine, sensor_id, start_us or 0, LAST_US if end_us is None else end_us
+    ordinal_of(reader, sensor_id)  # NotFound now; inside the stream it would come too late
+    window = {"start_us": start_us or 0, "end_us": LAST_US if end_us is None else end_us}
+    return services.exports.stream(
+        "states", {"form": form, "sensor_id": sensor_id, **window}, MEDIA_TYPES[form]
     )
-    if form == "csv":
-        records = chain.from_iterable(state_records(_table_of(frame), pose) for frame in found)
-        return _stream(form, _csv(STATE_COLUMNS, records))
-    return _stream(form, map(_line_of, found))
 
 
-def _track_stream(form: str, found: Iterator[TrackSummary], engine: Engine) -> Iterator[bytes]:
+@exported("states")
+def state_pieces(engine: Engine, *, form: str, sensor_id: str, start_us: int, end_us: int) -> Iterator[bytes]:
+    """Yield the states of a sensor in [start_us, end_us) as NDJSON or CSV."""
+    found = states.stream_states(engine, sensor_id, start_us, end_us)
+    if form != "csv":
+        return map(_line_of, found)
+    with connection(engine) as reader:
+        pose = _pose(reader, sensor_id)
+    records = chain.from_iterable(state_records(_table_of(frame), pose) for frame in found)
+    return _csv(STATE_COLUMNS, records)
+
+
+@exported("tracks")
+def track_pieces(
+    engine: Engine, *, form: str, sensor_id: str | None, start_us: int | None, end_us: int | None
+) -> Iterator[bytes]:
+    """Yield the tracks of a window as NDJSON, CSV or GeoJSON."""
+    found = tracks.stream_tracks(engine, TrackQuery(sensor_id, start_us, end_us))
     if form == "ndjson":
         return _ndjson(track_fields(track) for track in found)
     if form == "csv":
@@ -259,10 +274,6 @@ def _csv(columns: tuple[str, ...], records: Iterator[dict[str, object]]) -> Iter
     yield csv_header(columns).encode()
     while piece := list(islice(records, CSV_ROWS)):
         yield csv_lines(columns, piece).encode()
-
-
-def _stream(form: str, pieces: Iterator[bytes]) -> Response:
-    return StreamingResponse(pieces, media_type=MEDIA_TYPES[form])
 
 
 def _page(request: Request, items: list[dict[str, object]], cursor: str | None) -> Response:

@@ -92,6 +92,7 @@ class Channel(Generic[S]):
     rows: list[Rows] = field(default_factory=list)
     restarts: list[Restart] = field(default_factory=list)
     frames_since_snapshot: int = 0
+    flushed_s: float = 0.0  # monotonic, of the newest flush that it was due for
     tick: Future[list[int]] | None = None  # being appended
     received_us: int | None = None  # of the newest folded frame
     newest: Folded | None = None  # frame or tick

@@ -1,8 +1,8 @@
 """Fold sensors in turn, and store what comes out of it; one loop that belongs to a thread or to a process.
 
 Each turn takes a few records of every sensor, so that one with a backlog does not hold up the others.
-Rows and cursor of all sensors go to the database in one transaction each second; snapshots go along with
-them.
+Rows and cursor of each sensor go to the database once a second, with a snapshot now and then; the sensors
+take part in a few transactions spread over the second, since nothing is folded during one.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from service.tracking.model import TrackStatus
 _log = structlog.get_logger(__name__)
 
 TURN_RECORDS = 4  # of one sensor before the next has its turn
+PARTS = 5  # transactions over which the sensors are spread within the interval of flushes
 IDLE_S = 0.1  # longest wait without news: a tenth of what ticks and flushes are apart
 UNSTORED_FRAMES = 50_000  # of one sensor, before folding waits for the database
 # How far a tick keeps behind its time: a frame that comes after a later tick is not tracked, so a short stall
@@ -201,17 +202,23 @@ class Folding(Generic[S]):
     # ------------------------------------------------------------- storing
 
     def _flush_if_due(self) -> None:
-        if time.monotonic() - self._flushed_s < self._pace.flush_interval_s:
+        now_s, interval_s = time.monotonic(), self._pace.flush_interval_s
+        if now_s - self._flushed_s < interval_s / PARTS:
             return
-        self._flushed_s = time.monotonic()
+        self._flushed_s = now_s
         # A sensor that fell silent still wants its last snapshot: until then the log keeps its last records,
         # and with them every later file of all sensors.
         moved = [
             c
             for c in self.channels.values()
-            if c.state.position > c.shard.cursor or c.rows or c.restarts or self._snapshot_due(c)
+            if now_s - c.flushed_s >= interval_s
+            and (c.state.position > c.shard.cursor or c.rows or c.restarts or self._snapshot_due(c))
         ]
-        self._flush(moved)
+        moved.sort(key=lambda c: c.flushed_s)
+        due = moved[: -(-len(self.channels) // PARTS)]
+        for channel in due:
+            channel.flushed_s = now_s
+        self._flush(due)
 
     def _flush(self, channels: Collection[Channel[S]], *, snapshots: bool = False) -> bool:
         """Store what the sound ones among the channels collected; return whether that worked."""

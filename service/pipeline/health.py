@@ -87,7 +87,7 @@ def sensor_health(
         failure=standing.failure,
         epoch=standing.epoch,
         logged_position=logged_position,
-        folded_position=max(standing.folded_position, doorway.folded),
+        folded_position=doorway.folded,
         stored_position=standing.stored_position,
         received_us=received_us,
         frame_age_s=_age_s(now_us, received_us),

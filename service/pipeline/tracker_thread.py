@@ -42,11 +42,13 @@ class Readers:
         A tracker process that was started again folds some records once more: only what is newer than the
         newest view is shown.
         """
-        self._folded(entry.sensor_id, entry.version)
         newest = self._live.newest(entry.sensor_id)
-        if newest is not None and (newest.epoch, newest.version) >= (entry.epoch, entry.version):
+        known = newest is not None and (newest.epoch, newest.version) >= (entry.epoch, entry.version)
+        if not known:
+            self._live.publish(entry)
+        self._folded(entry.sensor_id, entry.version)  # who hears of it finds the view
+        if known:
             return
-        self._live.publish(entry)
         if frame and entry.received_us is not None:
             self._readable.observe(max(0, self._clock_us() - entry.received_us) / _US_PER_S)
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,27 +18,36 @@ from tests.pipeline.crash_host import FRAMES
 ROOT = Path(__file__).parents[2]
 
 
-def start_host(data_dir: Path, first: int, last: int = FRAMES) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "tests.pipeline.crash_host", str(data_dir), str(first), str(last)]
-    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+def start_host(data_dir: Path, first: int, last: int = FRAMES, processes: int = 0) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "tests.pipeline.crash_host"]
+    arguments = [str(data_dir), str(first), str(last), str(processes)]
+    return subprocess.Popen(
+        [*command, *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
 
 
-def finish(data_dir: Path, first: int, last: int = FRAMES) -> list[str]:
+def finish(data_dir: Path, first: int, last: int = FRAMES, processes: int = 0) -> list[str]:
     """Post the frames in a process that ends by itself, and return what was said of each."""
-    with start_host(data_dir, first, last) as process:
-        text, _ = process.communicate(timeout=60)
+    with start_host(data_dir, first, last, processes) as process:
+        text, _ = process.communicate(timeout=180)
     assert process.returncode == 0
     return [line.split()[1] for line in text.splitlines()]
 
 
-def post_and_kill(data_dir: Path, first: int, after: int) -> int:
-    """Post from `first` on, kill the process once frame `after` is durable, return the newest told of."""
-    with start_host(data_dir, first) as process:
+def post_and_kill(data_dir: Path, first: int, after: int, processes: int, *, whole_group: bool) -> int:
+    """Post from `first` on, kill once frame `after` is durable, return the newest told of.
+
+    whole_group: the tracker processes are killed in the same moment; else they have to end by themselves.
+    """
+    with start_host(data_dir, first, processes=processes) as process:
         assert process.stdout is not None
         for line in process.stdout:
             if int(line.split()[0]) >= after:
                 break
-        process.kill()
+        if whole_group:
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
         rest = [line for line in process.stdout.read().splitlines() if line.count(" ") == 1]
     return int((rest[-1] if rest else line).split()[0])
 
@@ -58,13 +69,16 @@ def rows_of(data_dir: Path) -> tuple[list, list, list, list]:
 
 
 @pytest.mark.slow
-def test_a_host_that_is_killed_while_frames_come_in_loses_none_and_doubles_none(tmp_path):
+@pytest.mark.parametrize(("processes", "whole_group"), [(0, False), (1, False), (1, True)])
+def test_a_host_that_is_killed_while_frames_come_in_loses_none_and_doubles_none(
+    tmp_path, processes, whole_group
+):
     through = finish(tmp_path / "whole", 1)
     assert through == ["accepted"] * FRAMES
 
-    newest = post_and_kill(tmp_path / "killed", 1, after=130)
-    newest = post_and_kill(tmp_path / "killed", newest + 1, after=250)
-    said = finish(tmp_path / "killed", newest + 1)
+    newest = post_and_kill(tmp_path / "killed", 1, 130, processes, whole_group=whole_group)
+    newest = post_and_kill(tmp_path / "killed", newest + 1, 250, processes, whole_group=whole_group)
+    said = finish(tmp_path / "killed", newest + 1, processes=processes)
 
     # The frame after the last one told of may have become durable before the process could say so.
     assert set(said) <= {"accepted", "duplicate"}

@@ -14,6 +14,7 @@ from sqlalchemy import Engine, delete, update
 
 from service.errors import NotFound, StorageError, Unavailable
 from service.formats.tracks import stored_line
+from service.pipeline import flushing, folding
 from service.pipeline.door import Outcome
 from service.pipeline.fold import TICK_US
 from service.pipeline.folding import TICK_GRACE_US
@@ -78,13 +79,8 @@ def running(
 
     @contextlib.contextmanager
     def run(tracker=simple_tracker, **changes: object) -> Iterator[EmbeddedHost]:
-        settings = Settings(
-            data_dir=tmp_path,
-            disk_free_min_share=0.0,
-            flush_interval_s=0.01,
-            clock_ahead_limit_s=1e9,
-            **changes,
-        )
+        values = {"flush_interval_s": 0.01, "disk_free_min_share": 0.0, "clock_ahead_limit_s": 1e9}
+        settings = Settings(data_dir=tmp_path, **(values | changes))
         host = EmbeddedHost(database, settings, tracker=tracker, clock_us=clock)
         host.start()
         try:
@@ -372,6 +368,28 @@ def test_one_failing_sensor_does_not_stop_the_others(running, database):
 
     assert failures["radar-2"] is None
     assert failures["radar-1"] == "record 4: ZeroDivisionError: made up"
+
+
+def test_the_flushes_of_many_sensors_are_spread(running, database, monkeypatch):
+    names = [f"radar-{n}" for n in range(1, 11)]
+    with session_scope(database) as writer:
+        for name in names[1:]:
+            create_sensor(writer, CONFIG.model_copy(update={"sensor_id": name}), now_us=START_US)
+    flushes = []
+
+    def note(engine, channels, snapshots, *, now_us):
+        flushes.append([channel.sensor_id for channel in channels])
+        return flushing.store(engine, channels, snapshots, now_us=now_us)
+
+    monkeypatch.setattr(folding, "store", note)
+    with running(flush_interval_s=0.2) as host:
+        for name in names:
+            submit(host, [dataclasses.replace(f, sensor_id=name) for f in recording(5)], name)
+        wait_until(lambda: caught_up(host))
+        spread = list(flushes)
+
+    assert {name for flush in spread for name in flush} == set(names)
+    assert max(map(len, spread)) <= 2  # a fifth of them
 
 
 def test_a_forgotten_sensor_takes_no_frames_and_what_it_sent_is_stored(running, database):
