@@ -112,22 +112,24 @@ def _cut(data_dir: Path, plan: Plan, reference: Reference) -> Outcome | None:
         _require_end(ended)
         return None
     said = ended.said
+    cuts = [len(said)]  # batches acknowledged before each
     if plan.phase is Phase.OPENING:  # cut once more while the first cut is recovered from
         again = Plan(plan.phase, 1 + plan.seed % _OPENING_OPERATIONS, 0, plan.kind, plan.seed)
         ended = run(data_dir, reference.work, len(said), again)
         said = said + [message for message in ended.said if "batch" in message]
+        cuts.append(len(said))
     acknowledged = len(said)
     ended = run(data_dir, reference.work, acknowledged)
     _require_end(ended)
     outcomes = _outcomes([*said, *ended.said[:-1]])
     differences = gather(data_dir).differences(reference.evidence)
-    unheard = acknowledged < len(outcomes) and set(outcomes[acknowledged]) == {"duplicate"}
-    if unheard:
-        outcomes[acknowledged] = reference.outcomes[acknowledged]
+    unheard = [cut for cut in cuts if cut < len(outcomes) and set(outcomes[cut]) == {"duplicate"}]
+    for cut in unheard:
+        outcomes[cut] = reference.outcomes[cut]
     if outcomes != reference.outcomes:
         wrong = [n for n, (a, b) in enumerate(zip(outcomes, reference.outcomes, strict=True)) if a != b]
         differences.append(f"other answers to the batches {wrong[:5]}")
-    return Outcome(plan, acknowledged, unheard, tuple(differences))
+    return Outcome(plan, acknowledged, bool(unheard), tuple(differences))
 
 
 def run(data_dir: Path, work: Sequence[Batch], first: int, plan: Plan | None = None) -> Ended:
