@@ -31,6 +31,7 @@ import orjson  # noqa: E402
 
 from benchmarks.http_ingest import detections, path  # noqa: E402
 from benchmarks.ingest import scene  # noqa: E402
+from benchmarks.process_tree import cores  # noqa: E402
 from benchmarks.real_server import (  # noqa: E402
     JSON,
     Client,
@@ -210,15 +211,15 @@ def phase(
         line.recv()
     for line in lines:
         line.send("go")
-    begun_s, cpu_s = time.monotonic(), server.cpu_s()
+    begun_s, cpu_s = time.monotonic(), server.cpu_by_role()
     found = asyncio.run(post(server.port, bodies, 1 + 1_000_000 * (number + 1), options.seconds))
-    cpu_s, spent_s = server.cpu_s() - cpu_s, time.monotonic() - begun_s
+    busy = cores(cpu_s, server.cpu_by_role(), time.monotonic() - begun_s)
     for line in lines:
         name, result = line.recv() if line.poll(options.seconds + 120) else ("lost", {})
         found[name] = result
     for process in beside:
         process.join()
-    return {**found, "server_cores": round(cpu_s / spent_s, 2)}
+    return {**found, "server_cores": busy}
 
 
 def main() -> None:

@@ -30,6 +30,7 @@ from service.formats.json_frames import frame_to_wire
 from service.tracking.model import Frame
 
 LATEST_S = 30.0  # for the last frame to become readable
+COUNTS_S = 1.0  # until the trackers have told what they counted
 
 
 @dataclass
@@ -147,6 +148,7 @@ async def _read(port: int, name: str, sent: dict[int, float], last: int, posted:
 
 
 async def _tracked(port: int) -> int:
+    await asyncio.sleep(COUNTS_S)
     client = Client(port)
     _, text = await client.ask("GET", "/metrics")
     client.close()

@@ -26,6 +26,7 @@ import numpy as np  # noqa: E402
 import orjson  # noqa: E402
 
 from benchmarks.commit import commit  # noqa: E402
+from benchmarks.process_tree import cpu_by_role, resident_mb  # noqa: E402
 
 START_S = 240.0  # compiling kernels on a busy machine
 HOST = "127.0.0.1"
@@ -40,14 +41,16 @@ class RealServer:
     process: subprocess.Popen[str]
 
     def cpu_s(self) -> float:
-        """Processor time that it used, all threads together."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        """Processor time that it used, with the processes that it started."""
+        return sum(self.cpu_by_role().values())
+
+    def cpu_by_role(self) -> dict[str, float]:
+        """The same of the serving process and of its trackers."""
+        return cpu_by_role(self.process.pid)
 
     def resident_bytes(self) -> int:
-        """Memory that it holds."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
+        """Memory that it holds, with the processes that it started."""
+        return round(resident_mb(self.process.pid) * 2**20)
 
 
 class Client:

@@ -44,6 +44,7 @@ from benchmarks.process_tree import cores, cpu_by_role, resident_mb  # noqa: E40
 LOOP_S = 55.0  # of the traffic: at 10, 12 and 14 m/s every vehicle is then where it was
 STRETCH_M = 110.0
 WATCHED = 2
+COUNTS_S = 1.0  # until the trackers have told what they counted
 START_PATIENCE_S = 300.0  # kernels may have to be compiled
 BARS = {"readable_p95_ms": 100.0, "readable_p99_ms": 200.0, "drift": 0.05, "lost": 0, "doubled": 0}
 Options = argparse.Namespace
@@ -237,9 +238,15 @@ def soak(options: argparse.Namespace) -> dict[str, object]:
         spent_s = time.perf_counter() - begun_s
         busy = cores(begun_cpu_s, cpu_by_role(process.pid), spent_s)
         drained_s = drain(url)
+        time.sleep(COUNTS_S)
+        work_ms = {
+            role: round(1e3 * (value - begun_cpu_s[role]) / max(run.posted, 1), 2)
+            for role, value in cpu_by_role(process.pid).items()
+        }
         metrics = httpx.get(f"{url}/metrics").text
         sizes = {p.name: p.stat().st_size for p in sorted(Path(name).rglob("*.sqlite*")) if p.is_file()}
-    return result(options, run, metrics, sizes, spent_s, busy, drained_s, before_us)
+    found = result(options, run, metrics, sizes, spent_s, busy, drained_s, before_us)
+    return {**found, "processor_ms_per_frame": work_ms}
 
 
 async def load(  # noqa: PLR0913, PLR0917

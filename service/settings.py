@@ -80,7 +80,9 @@ class Settings(BaseSettings):
         """How many tracker processes there are."""
         if self.tracker_processes is not None:
             return self.tracker_processes
-        return 1 if len(os.sched_getaffinity(0)) > 1 else 0
+        affinity = getattr(os, "sched_getaffinity", None)  # Linux only
+        processors = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+        return 1 if processors > 1 else 0
 
     @property
     def rows_url(self) -> str:

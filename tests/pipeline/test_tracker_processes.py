@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import structlog
 from sqlalchemy import Engine
 
 from service.errors import StorageError
@@ -26,6 +27,7 @@ from service.storage.database import open_database, session_scope
 from service.storage.events import list_events
 from service.storage.sites import create_sensor, update_sensor
 from service.storage.tables import track_states, tracks
+from service.telemetry import set_up_logging
 from tests.pipeline import simple_tracker
 from tests.pipeline.recordings import (
     CONFIG,
@@ -38,6 +40,13 @@ from tests.pipeline.recordings import (
 )
 
 SECOND_US = 1_000_000
+
+
+@pytest.fixture(autouse=True)
+def _short_log_lines() -> Iterator[None]:
+    set_up_logging("warning", "json")
+    yield
+    structlog.reset_defaults()
 
 
 @pytest.fixture
