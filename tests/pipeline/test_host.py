@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import structlog
 from sqlalchemy import Engine, delete, update
 
 from service.errors import NotFound, StorageError, Unavailable
@@ -30,6 +31,7 @@ from service.storage.sites import create_sensor, update_sensor
 from service.storage.states import stream_states
 from service.storage.tables import snapshots, track_states, tracks
 from service.storage.tracks import save_blocks, save_summaries
+from service.telemetry import set_up_logging
 from tests.pipeline import simple_tracker
 from tests.pipeline.recordings import (
     CONFIG,
@@ -44,6 +46,14 @@ from tests.pipeline.recordings import (
 )
 
 SECOND_US = 1_000_000
+
+
+@pytest.fixture(autouse=True)
+def _short_log_lines() -> Iterator[None]:
+    """A rendered traceback with all its values takes seconds."""
+    set_up_logging("warning", "json")
+    yield
+    structlog.reset_defaults()
 
 
 class Clock:
