@@ -21,7 +21,7 @@ from service.pipeline.fold import start
 from service.pipeline.fold_state import Folded, FoldState, S, Tracker
 from service.pipeline.log import FrameLog
 from service.pipeline.order import OrderState, admit, flush
-from service.pipeline.records import ControlRecord, FrameRecord
+from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord
 from service.storage.database import session_scope
 from service.storage.rows import Rows, merge_rows
 from service.storage.shards import Shard, Snapshot, begin_epoch, load_shard, save_snapshot
@@ -220,6 +220,8 @@ def _look_through(log: FrameLog, state: FoldState[S]) -> tuple[OrderState, str, 
                 case ControlRecord():
                     order, _ = flush(order)
                     config = record.config
+                case DamagedRecord():
+                    pass
                 case _:
                     order, _ = flush(order)
     return order, config, waiting

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 from service.errors import StorageError, WaysideError
 from service.formats.columnar import decode_frame, encode_frame
-from service.pipeline.records import ControlRecord, FrameRecord, Record, TickRecord
+from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, Record, TickRecord
 
 _HEAD = struct.Struct("<IBq")  # checksum of all that follows, kind, time (received_us, or a tick's time_us)
 _CHECKSUM = struct.Struct("<I")
@@ -29,6 +29,8 @@ def encode_record(record: Record) -> bytes:
             kind, time_us, body = _Kind.CONTROL, record.received_us, record.config.encode()
         case TickRecord():
             kind, time_us, body = _Kind.TICK, record.time_us, b""
+        case DamagedRecord():
+            raise StorageError(f"a damaged record is not written: {record.reason}")
     data = _HEAD.pack(0, kind, time_us) + body
     return _CHECKSUM.pack(zlib.crc32(data[_CHECKSUM.size :])) + data[_CHECKSUM.size :]
 

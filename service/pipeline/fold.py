@@ -14,7 +14,7 @@ from service.formats.sensor import SensorConfig
 from service.pipeline.blocks import Moment, collect_frame, collect_tick, end_all, nothing_collected
 from service.pipeline.fold_state import Folded, FoldOutput, FoldState, S, Tracker
 from service.pipeline.order import Admission, Fate, OrderState, Released, admit, flush, pass_time
-from service.pipeline.records import ControlRecord, FrameRecord, Record, TickRecord
+from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, Record, TickRecord
 from service.pipeline.traffic_rows import traffic_rows
 from service.storage.rows import EventRow, Rows, merge_rows
 from service.tracking.model import TrackEstimates
@@ -23,6 +23,7 @@ from service.traffic.model import Moment as TrafficMoment
 from service.traffic.parameters import traffic_setup
 
 TICK_US = 1_000_000
+RECORD_DAMAGED = "record_damaged"
 CONFIGURATION_REFUSED = "configuration_refused"
 CLOCK_SET_BACK = "the sensor's clock was set back"
 
@@ -72,6 +73,8 @@ def step(
                 state = _begin_anew(replace(state, position=position), out, tracker)
         case ControlRecord() | TickRecord():
             order, admission = flush(state.order)
+        case DamagedRecord():
+            order, admission = state.order, Admission(Fate.DAMAGED)
     state = replace(state, position=position, order=order)
     for released in admission.released:
         state = _fold_frame(state, released, out, tracker)
@@ -82,6 +85,8 @@ def step(
         case TickRecord():
             state = _fold_ticks(state, record.time_us + 1, out, tracker)
             admission = replace(admission, fate=Fate.TICK)
+        case DamagedRecord():
+            state = _tell_of_damage(state, record, out)
     return state, _result(admission, out, restarted)
 
 
@@ -159,6 +164,21 @@ def _watch(
     rows, events = traffic_rows(found, _moment(state, time_us), state.events)
     out.rows.append(rows)
     return replace(state, traffic=traffic, events=events), estimates
+
+
+def _tell_of_damage(state: FoldState[S], record: DamagedRecord, out: _Output) -> FoldState[S]:
+    """Give out an event for a record of the log that cannot be read, so that it is no silent hole."""
+    event = EventRow(
+        sensor_id=state.sensor_id,
+        epoch=state.epoch,
+        number=state.events + 1,
+        as_of=state.position,
+        kind=RECORD_DAMAGED,
+        time_us=state.frame_us or 0,
+        detail={"position": state.position, "reason": record.reason},
+    )
+    out.rows.append(Rows(events=(event,)))
+    return replace(state, events=state.events + 1)
 
 
 def _configure(state: FoldState[S], record: ControlRecord, out: _Output) -> FoldState[S]:

@@ -44,6 +44,7 @@ class Fate(StrEnum):
     CONFLICT = "conflict"
     CONTROL = "control"
     TICK = "tick"
+    DAMAGED = "damaged"
 
 
 @dataclass(frozen=True, slots=True)

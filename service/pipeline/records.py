@@ -1,4 +1,4 @@
-"""The three kinds of record in a sensor's log."""
+"""The kinds of record in a sensor's log: three that are written, and what is read where one was damaged."""
 
 from __future__ import annotations
 
@@ -36,4 +36,11 @@ class TickRecord:
     time_us: int
 
 
-Record = FrameRecord | ControlRecord | TickRecord
+@dataclass(frozen=True, slots=True)
+class DamagedRecord:
+    """A record whose bytes cannot be read any more; never written."""
+
+    reason: str
+
+
+Record = FrameRecord | ControlRecord | TickRecord | DamagedRecord

@@ -26,7 +26,7 @@ import structlog
 from service.errors import InvalidFrame, StorageError, Unavailable, WaysideError
 from service.pipeline.codec import decode_record, encode_record, record_time_us
 from service.pipeline.promises import Promise, tell
-from service.pipeline.records import Record
+from service.pipeline.records import DamagedRecord, Record
 from service.pipeline.segments import Extent, Segment, set_aside
 
 log = structlog.get_logger(__name__)
@@ -220,7 +220,8 @@ class SqliteLog:
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, Record]]:
         """Return up to `limit` records with positions above `after`, in order.
 
-        A damaged record is left out, logged and counted. Raises StorageError when a file cannot be read.
+        A damaged record stands there as such, is logged and counted. Raises StorageError when a file cannot
+        be read.
         """
         found: list[tuple[int, bytes]] = []
         with self._guard:
@@ -234,17 +235,15 @@ class SqliteLog:
                 raise StorageError(f"the log file {segment.path.name} cannot be read: {error}") from error
             if len(found) >= limit:
                 break
-        return [
-            item for position, body in found if (item := self._decode(sensor_id, position, body)) is not None
-        ]
+        return [(position, self._decode(sensor_id, position, body)) for position, body in found]
 
-    def _decode(self, sensor_id: str, position: int, body: bytes) -> tuple[int, Record] | None:
+    def _decode(self, sensor_id: str, position: int, body: bytes) -> Record:
         try:
-            return position, decode_record(body)
+            return decode_record(body)
         except StorageError as error:
             self.damaged_records += 1
-            log.error("record left out", sensor_id=sensor_id, position=position, error=str(error))  # noqa: TRY400
-            return None
+            log.error("record damaged", sensor_id=sensor_id, position=position, error=str(error))  # noqa: TRY400
+            return DamagedRecord(str(error))
 
     def last_position(self, sensor_id: str) -> int:
         """Return the newest position, 0 for an empty log."""

@@ -31,7 +31,7 @@ from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import encode_entry
 from service.pipeline.log_reader import LogReader
 from service.pipeline.nursery import Work, end_with
-from service.pipeline.records import Record, TickRecord
+from service.pipeline.records import DamagedRecord, Record, TickRecord
 from service.settings import Settings
 from service.storage.database import open_database
 from service.telemetry import Telemetry
@@ -122,15 +122,16 @@ class RemoteLog:
             tick.set_exception(Unavailable("the log did not take the tick"))
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, Record]]:
-        """Return up to `limit` records above `after`; a damaged one is left out and counted."""
-        found = []
+        """Return up to `limit` records above `after`; a damaged one stands there as such, and counts."""
+        found: list[tuple[int, Record]] = []
         limit = min(limit, self.last_position(sensor_id) - after)  # a further file is not looked for in vain
         for position, body in self._reader.read(sensor_id, after, limit):
             try:
                 found.append((position, decode_record(body)))
             except StorageError as error:
                 self.damaged_records += 1
-                _log.error("record left out", sensor_id=sensor_id, position=position, error=str(error))
+                _log.error("record damaged", sensor_id=sensor_id, position=position, error=str(error))
+                found.append((position, DamagedRecord(str(error))))
         return found
 
     def append(self, sensor_id: str, records: Sequence[Record]) -> list[int]:

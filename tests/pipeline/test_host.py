@@ -380,6 +380,27 @@ def test_one_failing_sensor_does_not_stop_the_others(running, database):
     assert failures["radar-1"] == "record 4: ZeroDivisionError: made up"
 
 
+def test_a_damaged_record_leaves_an_event_and_holds_nobody_up(running, database, tmp_path):
+    with running() as host:
+        submit(host, recording(10))
+    with session_scope(database) as writer:
+        writer.execute(delete(snapshots))  # so that all is folded again
+    (segment,) = (tmp_path / "log").glob("segment-*.sqlite")
+    with contextlib.closing(sqlite3.connect(segment)) as log, log:
+        log.execute("UPDATE record SET body = zeroblob(length(body)) WHERE position BETWEEN 3 AND 8")
+
+    with running() as host:
+        submit(host, recording(5, first=11, start_us=START_US + 10 * PERIOD_US))
+        wait_until(lambda: caught_up(host) and host.health().sensors[0].queue_depth == 0)
+        assert host.health().storage.log_damaged_records >= 6
+        assert host.live.newest("radar-1").folded.number == 15
+
+    with reading(database) as reader:
+        events = list_events(reader, "radar-1").items
+    assert [event.kind for event in events] == ["record_damaged"] * 6
+    assert [event.detail["position"] for event in events] == [3, 4, 5, 6, 7, 8]
+
+
 def test_the_flushes_of_many_sensors_are_spread(running, database, monkeypatch):
     names = [f"radar-{n}" for n in range(1, 11)]
     with session_scope(database) as writer:

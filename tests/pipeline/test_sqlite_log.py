@@ -12,7 +12,7 @@ import pytest
 
 from service.errors import InvalidFrame, StorageError, Unavailable
 from service.pipeline.codec import decode_record, encode_record
-from service.pipeline.records import ControlRecord, FrameRecord, TickRecord
+from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, TickRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from tests.pipeline.recordings import frame, recording, records
 
@@ -308,7 +308,7 @@ def test_a_truncated_newest_file_is_set_aside_and_the_log_goes_on(tmp_path, keep
         again.close()
 
 
-def test_a_damaged_record_is_left_out_and_counted(tmp_path):
+def test_a_damaged_record_stands_as_such_and_is_counted(tmp_path):
     first = SqliteLog(tmp_path)
     first.append("radar-1", ALL_KINDS)
     first.close()
@@ -318,7 +318,9 @@ def test_a_damaged_record_is_left_out_and_counted(tmp_path):
 
     again = SqliteLog(tmp_path)
     try:
-        assert [position for position, _ in again.read("radar-1", 0, 9)] == [1, 3, 4]
+        read = again.read("radar-1", 0, 9)
+        assert [position for position, _ in read] == [1, 2, 3, 4]
+        assert [position for position, one in read if isinstance(one, DamagedRecord)] == [2]
         assert again.damaged_records == 1
     finally:
         again.close()
