@@ -30,6 +30,7 @@ FLOW_ROW: Final = {
     "sensor_id": "radar-1",
     "line_id": "C40",
     "lane_id": "L2",
+    "lane_scope": "lane",
     "direction": -1,
     "length_class": None,
     "start": "2025-05-12T06:00:00.000Z",

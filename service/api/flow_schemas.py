@@ -44,7 +44,8 @@ class FlowRow(BaseModel):
     row: str = Field(description="opens into its evidence: GET .../flow/{row}/evidence")
     sensor_id: str
     line_id: str
-    lane_id: str | None = Field(description="null: all lanes, or vehicles whose lane is not known")
+    lane_id: str | None = Field(description="null: all lanes, or vehicles in no known lane, see lane_scope")
+    lane_scope: Literal["lane", "all_lanes", "no_lane"] = Field(description="what the row is of")
     direction: Direction | None = Field(description="null: both")
     length_class: LengthClass | None = Field(description="null: all")
     start: str

@@ -30,6 +30,7 @@ DEFINITION_TEXT: Final[Mapping[str, str]] = {
     "interval": "half-open [start, end), UTC; the time zone only tells where a local day begins",
     "coverage": "frames received of those expected at the sensor's rate, 0 to 1",
     "observed": "share of the interval without stretches of more than 1 s in which no frame came",
+    "lane_scope": "lane: of lane_id; all_lanes: of all of them; no_lane: of vehicles in no known lane",
     "n": "vehicles that the row is made of",
     "volume": "N, vehicles whose centre crossed the line in the interval",
     "volume_low, volume_high": "95 % bounds of the true volume, from existence probabilities and lost frames",

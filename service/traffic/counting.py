@@ -18,6 +18,7 @@ from service.tracking.model import TrackEstimates
 from service.traffic.cells import NO_RULER, MinuteCells, Ruler, cell_records, drive, ruler_of
 from service.traffic.count_parameters import CountParameters
 from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
+from service.traffic.crossing_lanes import lane_at, passing_s, relabelled, way_across
 from service.traffic.crossings import LineStates, View, cross, no_line_states
 from service.traffic.line_placing import place_lines
 from service.traffic.lines import Line
@@ -29,6 +30,7 @@ from service.traffic.records import (
     CellSums,
     Counts,
     Crossing,
+    Leader,
     MinuteBlock,
     Received,
     record_of,
@@ -38,18 +40,7 @@ from service.traffic.window import Scan, remember, scan_of
 
 OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
 TELL_US = 10_000_000  # between two reports of the running minute
-_SLOW_MPS = 1.0  # below, the time from bumper to centre is taken as at this speed
-
-
-@dataclass(frozen=True, slots=True)
-class Leader:
-    """The newest vehicle over a line in one lane and direction, which the next one's headway refers to."""
-
-    line_id: str
-    lane: int
-    direction: int
-    front_us: int  # when its front bumper crossed
-    passing_s: float  # from its front to its rear bumper
+UNMAPPED_OPEN_US = 15 * MINUTE_US  # ... and while no lanes are known: they get theirs with the first map
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +87,14 @@ def count(
     coverage = state.coverage
     if not moment.tick:
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
+    mapped: tuple[MinuteBlock, ...] = state.blocks
+    relabelled_blocks: tuple[MinuteBlock, ...] = ()
+    if ruler is not state.ruler and lanes.lanes:
+        mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, lanes, p)
+        state = replace(state, leaders=leaders)
     crossings, leaders = _followed(found, state, lanes, p)
-    blocks, grown = _collected(state.blocks, crossings, now_us)
+    blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
+    grown = _newest(relabelled_blocks, grown)
     state = CountState(
         lines=state.lines, placed_on=state.placed_on, vehicles=joined.vehicles, states=states, window=window,
         leaders=leaders, blocks=blocks, coverage=coverage, ruler=ruler, cells=cells,
@@ -133,36 +130,37 @@ def _followed(
     if not found:
         return (), state.leaders
     leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
+    lines = {line.line_id: line for line in state.lines}
     crossings = []
     for k, crossing in enumerate(found, start=state.crossings + 1):
-        length_m = p.assumed_length_m if math.isnan(crossing.length_m) else crossing.length_m
-        passing_s = length_m / max(crossing.speed_mps, _SLOW_MPS)
-        front_us = crossing.time_us - round(passing_s / 2 * 1e6)
-        key = (crossing.line_id, crossing.lane, crossing.direction)
-        leader = leaders.get(key) if crossing.lane else None
+        passing = passing_s(crossing.length_m, crossing.speed_mps, p)
+        front_us = crossing.time_us - round(passing / 2 * 1e6)
+        way = way_across(lines[crossing.line_id], crossing.direction)
+        lane = lane_at(crossing.x_m, crossing.y_m, way, crossing.lane, lanes)
+        key = (crossing.line_id, lane, crossing.direction)
+        leader = leaders.get(key) if lane else None
         headway_s = gap_s = math.nan
         if leader is not None and front_us > leader.front_us:
             headway_s = (front_us - leader.front_us) / 1e6
             gap_s = headway_s - leader.passing_s
-        if crossing.lane and (leader is None or front_us > leader.front_us):
-            leaders[key] = Leader(*key, front_us, passing_s)
-        crossings.append(
-            replace(crossing, number=k, map_version=lanes.version, headway_s=headway_s, gap_s=gap_s)
-        )
+        if lane and (leader is None or front_us > leader.front_us):
+            leaders[key] = Leader(*key, front_us, passing)
+        there = replace(crossing, number=k, lane=lane, map_version=lanes.version)
+        crossings.append(replace(there, headway_s=headway_s, gap_s=gap_s))
     return tuple(crossings), tuple(leaders.values())
 
 
 def _collected(
-    blocks: tuple[MinuteBlock, ...], crossings: Sequence[Crossing], now_us: int
+    blocks: tuple[MinuteBlock, ...], crossings: Sequence[Crossing], now_us: int, open_us: int
 ) -> tuple[tuple[MinuteBlock, ...], tuple[MinuteBlock, ...]]:
     """Return the blocks that stay open, and those that have grown."""
     if not crossings:
-        return tuple(x for x in blocks if now_us - x.minute * MINUTE_US < OPEN_US), ()
-    opened = {(x.line_id, x.minute): x for x in blocks if now_us - x.minute * MINUTE_US < OPEN_US}
+        return tuple(x for x in blocks if now_us - x.minute * MINUTE_US < open_us), ()
+    opened = {(x.line_id, x.minute): x for x in blocks if now_us - x.minute * MINUTE_US < open_us}
     grown: dict[tuple[str, int], MinuteBlock] = {}
     for crossing in crossings:
         minute = crossing.time_us // MINUTE_US
-        late = now_us - minute * MINUTE_US >= OPEN_US
+        late = now_us - minute * MINUTE_US >= open_us
         key = (crossing.line_id, minute)
         block = grown.get(key) or opened.get(key)
         if block is None:
@@ -172,6 +170,13 @@ def _collected(
         if not late:
             opened[key] = grown[key]
     return tuple(opened.values()), tuple(grown.values())
+
+
+def _newest(first: tuple[MinuteBlock, ...], then: tuple[MinuteBlock, ...]) -> tuple[MinuteBlock, ...]:
+    """Return each block of either as it is in the last of them."""
+    if not first:
+        return then
+    return tuple({(x.line_id, x.minute, x.part): x for x in (*first, *then)}.values())
 
 
 def _told(state: CountState, moment: Moment) -> tuple[CountState, tuple[Received, ...], tuple[CellSums, ...]]:

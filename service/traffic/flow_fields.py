@@ -70,6 +70,13 @@ def lane_id(lane: int | None) -> str | None:
     return f"L{lane}" if lane else None
 
 
+def lane_scope(lane: int | None) -> str:
+    """Return what a group of a lane's index stands for: None is all lanes, 0 the vehicles in none."""
+    if lane is None:
+        return "all_lanes"
+    return "lane" if lane else "no_lane"
+
+
 def crossing_fields(sensor_id: str, crossings: CrossingTable) -> list[Fields]:
     """Return the fields of each crossing."""
     kinds = crossings.length_class.tolist()
@@ -118,12 +125,14 @@ def flow_fields(sensor_id: str, flow: FlowTable, *, histogram: bool = True) -> l
     starts, ends, spans, starts_s = _interval_columns(flow)
     codes = [_group_code(group) for group in flow.groups]
     lanes = [lane_id(group.lane) for group in flow.groups]
+    scopes = [lane_scope(group.lane) for group in flow.groups]
     volumes = flow.n.tolist()
     columns: dict[str, Sequence[object]] = {
         "row": [f"{codes[g]}-{at}-{span}" for g, at, span in zip(order, starts_s, spans, strict=True)],
         "sensor_id": [sensor_id] * count,
         "line_id": [flow.groups[g].line_id for g in order],
         "lane_id": [lanes[g] for g in order],
+        "lane_scope": [scopes[g] for g in order],
         "direction": [flow.groups[g].direction for g in order],
         "length_class": [flow.groups[g].length_class for g in order],
         "start": starts,

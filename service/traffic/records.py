@@ -84,6 +84,17 @@ def record_of(crossing: Crossing) -> U8:
 
 
 @dataclass(frozen=True, slots=True)
+class Leader:
+    """The newest vehicle over a line in one lane and direction, which the next one's headway refers to."""
+
+    line_id: str
+    lane: int
+    direction: int
+    front_us: int  # when its front bumper crossed
+    passing_s: float  # from its front to its rear bumper
+
+
+@dataclass(frozen=True, slots=True)
 class Received:
     """What came in one minute."""
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -18,16 +19,16 @@ SETUP = traffic_setup(SensorConfig(count_lines=(LINE,)))
 NOBODY = estimates([], 0, 0, 0, 0)
 
 
-def watch(frames, *, ticks=5, setup=SETUP, period_us=FRAME_US):
+def watch(frames, *, ticks=5, setup=SETUP, period_us=FRAME_US, lanes=NO_MAP):
     """Return what became certain over the frames and the seconds after them, and the state then."""
     state, told = nothing_counted(), []
     for k, now in enumerate(frames):
-        state, counts = count(state, Moment(START_US + k * period_us, k, tick=False), now, NO_MAP, setup)
+        state, counts = count(state, Moment(START_US + k * period_us, k, tick=False), now, lanes, setup)
         told.append(counts)
     end_us = START_US + len(frames) * period_us
     for second in range(ticks):
         moment = Moment(end_us + second * 1_000_000, len(frames), tick=True)
-        state, counts = count(state, moment, NOBODY, NO_MAP, setup)
+        state, counts = count(state, moment, NOBODY, lanes, setup)
         told.append(counts)
     return told, state
 
@@ -168,12 +169,17 @@ def test_a_vehicle_that_was_first_listed_behind_the_line_was_born_before_it():
 def test_the_running_minute_is_told_again_when_it_grows_and_a_late_crossing_gets_a_part_of_its_own():
     standing = np.full(300, 39.0)  # over the line, but not far enough behind it, for 150 s
     way = np.concatenate([np.arange(60, 39, -1.5), standing, np.arange(39, 20, -1.5)])
-    told, _ = watch(drive(1, way, vy_mps=-3.0), period_us=500_000)
+    known = dataclasses.replace(NO_MAP, version=1)
+    told, _ = watch(drive(1, way, vy_mps=-3.0), period_us=500_000, lanes=known)
 
     (block,) = [block for counts in told for block in counts.blocks]
     assert block.part > 0
     assert block.minute == START_US // MINUTE_US
     assert block.table()["track"].tolist() == [1]
+
+    told, _ = watch(drive(1, way, vy_mps=-3.0), period_us=500_000)  # no lanes yet: the minute is still open
+
+    assert [block.part for counts in told for block in counts.blocks] == [0]
 
 
 def test_frames_received_are_told_at_once_each_ten_seconds_and_finally():

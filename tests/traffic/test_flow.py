@@ -266,3 +266,14 @@ def test_exports_name_their_units_and_speeds_are_converted():
     assert first == "C40,36.0,36.0,\r\n"
     assert pems[0].startswith("Timestamp,Station,Direction of Travel,Samples,% Observed,Total Flow")
     assert pems[1].split(",")[:8] == ["05/12/2025 08:00:00", "C40", "-1", "2", "100", "2", "0.0081", "33.6"]
+
+
+def test_a_row_says_whether_it_is_of_a_lane_of_all_or_of_vehicles_in_none():
+    groups = (ALL, Group("C40", 2, None, None), Group("C40", 0, None, None))
+    rows = flow_fields("radar-1", flow(table_of(crossing(1, lane=2), crossing(2, lane=0)), groups=groups))
+
+    assert [(row["lane_id"], row["lane_scope"], row["volume"]) for row in rows] == [
+        (None, "all_lanes", 2),
+        ("L2", "lane", 1),
+        (None, "no_lane", 1),
+    ]

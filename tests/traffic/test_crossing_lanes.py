@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.traffic.counting import count, nothing_counted
+from service.traffic.crossing_lanes import lane_at, way_across
+from service.traffic.lines import Line
+from service.traffic.model import NO_LANE, NO_MAP, Lane, LaneMap, Moment
+from tests.traffic.test_crossings import SETUP, approach, drive, merged
+from tests.traffic.tracks import FRAME_US, START_US
+
+LINE = Line("C40", -6.0, 40.0, 6.0, 40.0)
+TOWARDS = way_across(LINE, -1)
+
+
+def lane(index, x_m, *, backwards=False, kind="lane"):
+    y = np.arange(150.0, 10.0, -2.0)
+    points = np.column_stack([np.full(len(y), x_m), y])[:: -1 if backwards else 1]
+    return Lane(index, f"L{index}", kind, "approaching", points, np.full(len(y), 3.5), 1.0, 20)
+
+
+LANES = LaneMap(1, START_US, 1, 40, "learned", (lane(1, -1.75), lane(2, 1.75)))
+
+
+def test_the_way_across_points_to_the_left_of_the_line_in_direction_one():
+    np.testing.assert_allclose(way_across(LINE, 1), [0.0, 1.0])
+    np.testing.assert_allclose(TOWARDS, [0.0, -1.0])
+
+
+def test_at_a_line_the_place_decides_not_the_lane_of_a_moment_ago():
+    assert lane_at(0.2, 40.0, TOWARDS, 1, LANES) == 2
+    assert lane_at(-0.2, 40.0, TOWARDS, 1, LANES) == 1
+    assert lane_at(0.2, 40.0, TOWARDS, NO_LANE, LANES) == 2
+
+
+def test_a_place_outside_of_every_lane_keeps_what_it_had():
+    assert lane_at(3.9, 40.0, TOWARDS, NO_LANE, LANES) == NO_LANE
+    assert lane_at(3.9, 40.0, TOWARDS, 2, LANES) == 2
+
+
+def test_ways_across_are_not_taken_for_lanes_nor_a_nearer_lane_for_a_turn():
+    sideways = np.array([1.0, 0.0])
+    assert lane_at(1.5, 40.0, sideways, NO_LANE, LANES) == NO_LANE
+    turning = LaneMap(1, START_US, 1, 40, "learned", (lane(1, 0.0, kind="turn"), lane(2, 0.5)))
+    assert lane_at(0.5, 40.0, TOWARDS, 1, turning) == 1
+
+
+def test_a_lane_of_the_other_direction_must_be_nearer_by_a_metre():
+    both = LaneMap(1, START_US, 1, 40, "learned", (lane(1, -1.0), lane(2, 1.0, backwards=True)))
+    assert lane_at(0.4, 40.0, TOWARDS, NO_LANE, both) == 1
+    assert lane_at(0.9, 40.0, TOWARDS, NO_LANE, both) == 2
+
+
+def test_crossings_before_the_first_map_get_lanes_and_headways_with_it():
+    way = approach()
+    first, second = drive(1, way, x_m=-1.7), [None] * 40 + drive(2, way, x_m=-1.8)
+    third = [None] * 20 + drive(3, way, x_m=1.7)
+    frames = merged(first, second, third)
+    state, blocks, told = nothing_counted(), {}, []
+    for k, now in enumerate(frames):
+        lanes = LANES if k == len(frames) - 1 else NO_MAP
+        state, counts = count(state, Moment(START_US + k * FRAME_US, k, tick=False), now, lanes, SETUP)
+        told += counts.crossings
+        blocks |= {(block.line_id, block.minute): block for block in counts.blocks}
+    assert [x.lane for x in told] == [NO_LANE] * 3
+
+    table = np.concatenate([block.table() for block in blocks.values()])
+
+    by_track = {int(row["track"]): row for row in table}
+    assert [int(by_track[k]["lane"]) for k in (1, 2, 3)] == [1, 1, 2]
+    assert {int(row["map_version"]) for row in table} == {1}
+    assert by_track[2]["headway_s"] == pytest.approx(40 * FRAME_US / 1e6, abs=0.02)
+    assert by_track[2]["gap_s"] < by_track[2]["headway_s"]
+    assert np.isnan(by_track[1]["headway_s"])
+    assert np.isnan(by_track[3]["headway_s"])
+    assert {x.lane for x in state.leaders} == {1, 2}
