@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.boxes import M_COUNT, M_EDGE, M_U_MAX, M_U_MIN
+from service.tracking.boxes import M_COUNT, M_EDGE, M_U_MAX, M_U_MIN, M_VAR_W, M_W
 from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64, Bool
 from service.tracking.state import Tracks
@@ -46,6 +46,7 @@ class ExtentParameters:
     turn_memory_frames: float = 2.0  # frames over which the error of a velocity's direction repeats itself
     wander_radius_m: float = 20.0  # vehicles turn this sharply as a rule, for about a second
     wander_accel_mps2: float = 2.0  # ... and pull this much sideways
+    one_way_std_rad: float = 0.35  # a vehicle further off the road's direction is turning
     settled_std_rad: float = 0.25  # a heading better known than this cannot be the wrong way round
     turn_radius_m: float = 6.0  # no vehicle turns more sharply ...
     turn_accel_mps2: float = 5.0  # ... or pulls more than this sideways
@@ -55,6 +56,13 @@ class ExtentParameters:
     # frames on end
     sideways_free_mps: float = 1.2
     sideways_free_share: float = 0.15
+    # a box that is carried sideways frame after frame is turning, whatever its velocity says
+    drift_gain: float = 0.15  # weight of the newest sideways residual in its running mean
+    drift_free: float = 0.5  # running mean, in standard deviations, at which the binding is halved
+    # the direction in which all others drive measures a heading, too
+    road_std_rad: float = 0.1  # of a vehicle about it ...
+    road_memory_frames: float = 5.0  # ... which says the same for so many frames
+    road_gate_rad: float = 0.6  # a vehicle further off turns, or its heading is no more than a guess
     # a vehicle without a range rate and with little speed is taken to stand
     still_range_rate_mps: float = 0.25
     still_speed_mps: float = 1.5
@@ -63,13 +71,13 @@ class ExtentParameters:
 
 
 def learn(
-    tracks: Tracks, measured: F64, hit: Bool, one_way: Bool, across_std_rad: float, dt_s: float,
-    p: ExtentParameters,
+    tracks: Tracks, measured: F64, hit: Bool, one_way: Bool, road_heading: F64, across_std_rad: float,
+    dt_s: float, p: ExtentParameters,
 ) -> Tracks:  # fmt: skip
     """Return the tracks with their length, width, heading and sideways speed settled after a frame.
 
-    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); one_way (T,): all drive there as
-    the track does; across_std_rad: azimuth noise of a point.
+    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,); one_way (T,): all drive one way
+    there, road_heading (T,) [rad]; across_std_rad: azimuth noise of a point.
     """
     if not len(tracks):
         return tracks
@@ -84,22 +92,28 @@ def learn(
         (p.wide_from_m, p.wide_m, p.car_width_m, p.narrow_below_m, p.narrow_width_m),
     )  # fmt: skip
     heading_var = tracks.heading_var.copy()
-    turn_rate = tracks.turn_rate_radps.copy()
+    turn_rate, drift = tracks.turn_rate_radps.copy(), tracks.drift.copy()
+    loose = _drift(mean, cov, heading, measured, hit, drift, p.drift_gain, p.drift_free, p.turn_above_mps)
+    _follow_road(
+        mean, heading, heading_var, length, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
+        p.road_gate_rad,
+    )  # fmt: skip
+    goes = one_way & (np.cos(heading - road_heading) > math.cos(p.one_way_std_rad))
     _turn(
         mean, cov, heading, heading_var, turn_rate, length, dt_s,
         (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
          p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
-    std_mps = np.where(one_way, p.sideways_std_mps, p.sideways_free_mps)
-    share = np.where(one_way, p.sideways_share, p.sideways_free_share)
-    _along_only(mean, cov, heading, heading_var, std_mps, share)
+    std_mps = np.where(goes, p.sideways_std_mps, p.sideways_free_mps)
+    share = np.where(goes, p.sideways_share, p.sideways_free_share)
+    _along_only(mean, cov, heading, heading_var, std_mps, share, loose)
     _stand_still(
         mean, cov, heading, hit,
         (p.still_range_rate_mps, p.still_speed_mps, p.still_std_mps, p.still_side_on_mps),
     )  # fmt: skip
     return tracks.but(
         mean=mean, cov=cov, heading_rad=heading, heading_var=heading_var, turn_rate_radps=turn_rate,
-        length_m=length, width_m=width, extent_m=ring,
+        drift=drift, length_m=length, width_m=width, extent_m=ring,
     )  # fmt: skip
 
 
@@ -167,6 +181,61 @@ def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tupl
 
 
 @kernel
+def _drift(
+    mean: F64,
+    cov: F64,
+    heading: F64,
+    measured: F64,
+    hit: Bool,
+    drift: F64,
+    gain: float,
+    free: float,
+    above: float,
+) -> F64:
+    """Update the running mean of the sideways residuals in place; return the factors (T,) that free it.
+
+    A wrong heading binds the velocity to a wrong line, and the points carry the box off it: residuals
+    of one sign, frame after frame, where noise changes sign.
+    """
+    loose = np.empty(len(drift))
+    for i in range(len(drift)):
+        if hit[i] and measured[i, M_COUNT] > 0.0:
+            s, c = math.sin(heading[i]), math.cos(heading[i])
+            across = c * c * cov[i, 0, 0] - 2.0 * s * c * cov[i, 0, 3] + s * s * cov[i, 3, 3]
+            residual = measured[i, M_W] / math.sqrt(measured[i, M_VAR_W] + across)
+            drift[i] += gain * (min(max(residual, -3.0), 3.0) - drift[i])
+        moving = math.hypot(mean[i, 1], mean[i, 4]) > above
+        loose[i] = 1.0 + (drift[i] / free) ** 4 if moving else 1.0
+    return loose
+
+
+@kernel
+def _follow_road(
+    mean: F64,
+    heading: F64,
+    heading_var: F64,
+    length: F64,
+    one_way: Bool,
+    road_heading: F64,
+    noise: float,
+    gate: float,
+) -> None:
+    """Measure headings, in place, by the direction in which all others drive.
+
+    The velocity of a crawling vehicle says nothing of its heading, and would turn its box across the lane.
+    """
+    for i in range(len(heading)):
+        if not one_way[i]:
+            continue
+        error = (road_heading[i] - heading[i] + math.pi) % (2.0 * math.pi) - math.pi
+        if abs(error) > gate:
+            continue
+        gain = heading_var[i] / (heading_var[i] + noise)
+        heading_var[i] *= 1.0 - gain
+        heading[i] = _turn_box(mean[i], heading[i], gain * error, length[i])
+
+
+@kernel
 def _turn(
     mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, length: F64, dt_s: float,
     turning: tuple[float, ...],
@@ -208,15 +277,23 @@ def _turn(
                 rate = turn_rate[i] + rate_gain * gain * gain / (2.0 - gain) * error / dt_s
                 turn_rate[i] = min(max(rate, -fastest), fastest)
         heading_var[i] *= 1.0 - gain
-        after = (before + change + math.pi) % (2.0 * math.pi) - math.pi
-        arm = 0.5 * length[i] * (-1.0 if math.cos(after - math.atan2(mean[i, 0], mean[i, 3])) > 0.0 else 1.0)
-        mean[i, 0] += arm * (math.sin(before) - math.sin(after))
-        mean[i, 3] += arm * (math.cos(before) - math.cos(after))
-        heading[i] = after
+        heading[i] = _turn_box(mean[i], before, change, length[i])
+
+
+@part
+def _turn_box(mean: F64, before: float, change: float, length: float) -> float:
+    """Turn one box about its near face, in place; return its new heading."""
+    after = (before + change + math.pi) % (2.0 * math.pi) - math.pi
+    arm = 0.5 * length * (-1.0 if math.cos(after - math.atan2(mean[0], mean[3])) > 0.0 else 1.0)
+    mean[0] += arm * (math.sin(before) - math.sin(after))
+    mean[3] += arm * (math.cos(before) - math.cos(after))
+    return after
 
 
 @kernel
-def _along_only(mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64) -> None:
+def _along_only(
+    mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64, loose: F64
+) -> None:
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
     The less the heading is known, the less it binds: its error turns speed into sideways speed.
@@ -227,7 +304,7 @@ def _along_only(mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F6
         along = mean[t, 1] * mean[t, 1] + mean[t, 4] * mean[t, 4]
         std = std_mps[t] + share[t] * math.sqrt(along)
         along += cov[t, 1, 1] + cov[t, 4, 4]
-        r = std * std + along * heading_var[t]
+        r = std * std * loose[t] + along * heading_var[t]
         _condition(mean[t], cov[t], a, b, r, gain, joseph)
 
 

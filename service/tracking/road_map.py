@@ -33,7 +33,6 @@ class RoadMapParameters:
     arc_half_turn_rad: float = 0.6  # a sharper turn is no arc of one circle
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
     one_way_agreement: float = 0.97  # length of the mean direction: all within some 15 degrees
-    one_way_std_rad: float = 0.35  # a vehicle further off that direction is turning
     mature_tracks: float = 12.0  # tracks learned before absence from the map means anything
 
 
@@ -113,11 +112,10 @@ def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[
     return _driven_at(road.tracks, road.sine, road.cosine, np.array(x_m), np.array(y_m), where)
 
 
-def goes_with(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, p: RoadMapParameters) -> Bool:
-    """Return which places lie where all have driven one way, and which of those head that way."""
+def one_way_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[Bool, F64]:
+    """Return which places lie where all have driven one way, and that direction [rad]."""
     count, heading, agreement = driven_at(road, x_m, y_m, p)
-    one_way = (count >= p.driven_tracks) & (agreement > p.one_way_agreement)
-    return np.asarray(one_way & (np.cos(heading_rad - heading) > math.cos(p.one_way_std_rad)))
+    return np.asarray((count >= p.driven_tracks) & (agreement > p.one_way_agreement)), heading
 
 
 @kernel

@@ -278,8 +278,8 @@ def _track(
     tracks, a, trails = recover(tracks, a, seen, bank, state.trails, p)
     watch("recover")
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
-    one_way = road_map.goes_with(state.road, tracks.x_m, tracks.y_m, tracks.heading_rad, p.road)
-    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, one_way, across_std_rad, dt_s, p.extent)
+    one_way, along = road_map.one_way_at(state.road, tracks.x_m, tracks.y_m, p.road)
+    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, one_way, along, across_std_rad, dt_s, p.extent)
     watch("extent")
     return tracks, a, trails
 

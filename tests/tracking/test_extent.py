@@ -11,6 +11,9 @@ import pytest
 from service.tracking import births, extent, road_map
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
+    M_COUNT,
+    M_VAR_W,
+    M_W,
     MEASUREMENT_COLUMNS,
     PG,
     POINT_COLUMNS,
@@ -40,10 +43,12 @@ def one_track(*, heading_rad=0.0, heading_std_rad=0.1, vx=0.0, vy=0.0, x=0.0, y=
     )  # fmt: skip
 
 
-def learn(tracks, *, one_way=False, hit=True):
+def learn(tracks, *, one_way=False, hit=True, road_rad=0.0, sideways_m=None):
     measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    if sideways_m is not None:
+        measured[0, [M_COUNT, M_W, M_VAR_W]] = 1.0, sideways_m, 0.04
     flags = np.array([hit]), np.array([one_way])
-    return extent.learn(tracks, measured, *flags, 0.003, DT_S, ExtentParameters())
+    return extent.learn(tracks, measured, *flags, np.array([road_rad]), 0.003, DT_S, ExtentParameters())
 
 
 def test_a_settled_box_turns_no_faster_than_its_wheels_allow():
@@ -75,6 +80,50 @@ def test_sideways_motion_is_bound_most_where_all_drive_one_way():
     one_way, free = learn(track, one_way=True), learn(track)
 
     assert abs(one_way.mean[0, 1]) + 0.1 < abs(free.mean[0, 1]) < 1.0
+
+
+def sideways_speed_after(residuals_m, vy=8.0):
+    track = one_track(vx=2.0, vy=vy, speed_var=1.0)
+    for residual_m in residuals_m:
+        track = learn(track.but(mean=one_track(vx=2.0, vy=vy).mean), one_way=True, sideways_m=residual_m)
+        track = track.but(heading_rad=np.zeros(1), cov=one_track(speed_var=1.0).cov)
+    return learn(
+        track.but(mean=one_track(vx=2.0, vy=vy).mean), one_way=True, sideways_m=residuals_m[-1]
+    ).mean[0, 1]
+
+
+def test_a_box_that_its_points_carry_sideways_is_let_go():
+    carried, shaken = sideways_speed_after([0.6] * 12), sideways_speed_after([-0.6, 0.6] * 6)
+
+    assert carried > 1.9
+    assert shaken < 1.5  # noise changes sign, and the bound of a known heading holds
+    assert sideways_speed_after([0.6] * 12, vy=0.0) == pytest.approx(carried, abs=0.2)
+
+
+def test_the_road_turns_a_crawling_box_about_its_near_face():
+    track = one_track(heading_rad=0.3, vy=-0.2, x=3.0)
+    near = track.mean[0, [0, 3]] - 2.2 * np.array([math.sin(0.3), math.cos(0.3)])
+    for _ in range(200):
+        track = learn(track, one_way=True, hit=False)
+        track = track.but(mean=np.where(np.arange(6) % 3 == 1, 0.0, track.mean))
+
+    heading = track.heading_rad[0]
+    assert abs(heading) < 0.03
+    turned = track.mean[0, [0, 3]] - 2.2 * np.array([math.sin(heading), math.cos(heading)])
+    np.testing.assert_allclose(turned, near, atol=1e-9)
+
+
+@pytest.mark.parametrize(("one_way", "road_rad"), [(False, 0.3), (True, 1.2)])
+def test_no_road_turns_a_box_that_does_not_drive_along_it(one_way, road_rad):
+    assert learn(one_track(), one_way=one_way, road_rad=road_rad).heading_rad[0] == 0.0
+
+
+def test_sideways_motion_is_bound_loosely_off_the_direction_of_the_road():
+    track = one_track(vx=1.0, vy=8.0, speed_var=1.0)
+
+    along, off = learn(track, one_way=True, road_rad=0.2), learn(track, one_way=True, road_rad=1.5)
+
+    assert abs(along.mean[0, 1]) + 0.1 < abs(off.mean[0, 1])
 
 
 def test_what_has_no_range_rate_is_taken_to_stand():
@@ -135,16 +184,19 @@ def test_no_arc_is_drawn_through_a_corner_or_a_step():
     assert not len(road_map.arc(np.zeros(2), np.array([20.0, 20.0]), math.pi / 2 + 0.1, p))
 
 
-def test_only_a_vehicle_that_goes_with_all_others_goes_with_the_road():
+def test_a_road_is_one_way_where_all_have_driven_one_way():
     p = RoadMapParameters()
     road = road_map.empty_road_map(p)
     for _ in range(3):
         road = road_map.teach(road, np.array([1.0]), np.array([50.0]), np.array([0.1]), 1, p)
     crossing = road_map.teach(road, np.array([1.0]), np.array([50.0]), np.array([1.6]), 1, p)
-    x, y = np.full(2, 1.0), np.full(2, 50.0)
+    x, y = np.array([1.0, 41.0]), np.full(2, 50.0)  # nobody has driven at the second place
 
-    assert road_map.goes_with(road, x, y, np.array([0.2, 1.5]), p).tolist() == [True, False]
-    assert not road_map.goes_with(crossing, x, y, np.array([0.2, 1.5]), p).any()
+    one_way, heading_rad = road_map.one_way_at(road, x, y, p)
+
+    assert one_way.tolist() == [True, False]
+    assert heading_rad[0] == pytest.approx(0.1)
+    assert not road_map.one_way_at(crossing, x, y, p)[0].any()
 
 
 def crossing_points(rng, speed_mps):
