@@ -1,7 +1,7 @@
 """Track recorded scenes that have truth and print how well that went, one row a scene, beside other trackers.
 
-    python -m benchmarks.scenes SCENE_DIR... [--jobs N] [--until S] [--set key=value]... [--json OUT.json]
-        [--columns hota,gospa,...] [--tracks-dir DIR] [--peers]
+    python -m benchmarks.scenes SCENE_DIR... [--jobs N] [--until S] [--profile NAME] [--set key=value]...
+        [--json OUT.json] [--columns hota,gospa,...] [--tracks-dir DIR] [--peers]
 
 What `wayside evaluate --card` does for a page, this does for a terminal, with the best of other trackers.
 Every scene runs in its own process. The time is CPU time of the tracker's steps, without the first second.
@@ -63,6 +63,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--until", type=float, help="only the first so many seconds")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
+    parser.add_argument("--profile", help="fast, default or quality")
     parser.add_argument("--json", type=Path, help="write all scores here")
     parser.add_argument("--columns", default=COLUMNS, help="keys of the scores to print, or 'all'")
     parser.add_argument("--tracks-dir", type=Path, help="write SCENE/tracks.jsonl below this directory")
@@ -71,7 +72,10 @@ def main() -> None:
     )
     options = parser.parse_args()
     settings = tuple(options.settings)
-    jobs = [Job(d, settings=settings, until_s=options.until, keep=options.tracks_dir) for d in options.scenes]
+    jobs = [
+        Job(d, settings=settings, until_s=options.until, keep=options.tracks_dir, profile=options.profile)
+        for d in options.scenes
+    ]
     results = list(run_all(jobs, options.jobs))
     measures = MEASURES if options.columns == "all" else select(options.columns.split(","))
     shown = with_peers(results, measures) if options.peers else [*results]

@@ -29,6 +29,7 @@ SENSOR: Final = {
     "mount_height_m": 6.0,
     "region": {"range_min_m": 20.0, "range_max_m": 150.0, "azimuth_max_deg": 45.0},
     "count_lines": [{"line_id": "C40", "p0": [-6.25, 40.0], "p1": [6.25, 40.0]}],
+    "profile": "default",
     "filter": "astekf",
 }
 SENSOR_REPLY: Final = SENSOR | {

@@ -48,6 +48,7 @@ def bench(
             "--peer/--no-peer", help="Compare with Stone Soup's JPDA; by default where it is installed."
         ),
     ] = None,
+    profile: options.Profile = None,
     filter_name: options.Filter = None,
     settings: options.Set = None,
     as_json: options.Json = False,
@@ -61,7 +62,10 @@ def bench(
     from service.formats.sensor import SensorConfig
 
     config = with_settings(
-        SensorConfig() if scene is None else read_site(scene / "site.json"), filter_name, settings or ()
+        SensorConfig() if scene is None else read_site(scene / "site.json"),
+        filter_name,
+        settings or (),
+        profile,
     )
     parameters = config.tracker_parameters()
     clock = time.perf_counter if wall else time.process_time

@@ -45,6 +45,7 @@ def evaluate(
         typer.Option("--until", min=0.1, metavar="SECONDS", help="Score only the first seconds."),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="With --card: scenes at a time.")] = os.cpu_count() or 1,
+    profile: options.Profile = None,
     filter_name: options.Filter = None,
     settings: options.Set = None,
     as_json: options.Json = False,
@@ -64,6 +65,7 @@ def evaluate(
                     filter_name,
                     tuple(settings or ()),
                     until_s,
+                    profile=profile,
                 )
                 for scene in directories
             ],
@@ -105,7 +107,7 @@ def _write_card(out: Path, jobs: list[Job], processes: int) -> None:
                for job, result in zip(jobs, results, strict=True)}  # fmt: skip
     about = provenance() | {
         "parameters_digest": ", ".join(sorted(digests)),
-        "profile": "of one's own" if chosen else "default",
+        "profile": (first.profile or "default") + (" with settings of one's own" if chosen else ""),
 "settings": ", ".join(chosen) or "none",
         "tracks": "made by this version" if first.tracks is None else "given",
         "seconds": "all" if first.until_s is None else f"the first {first.until_s:g} of each scene",
@@ -119,4 +121,4 @@ def _about(directory: Path | None) -> dict[str, object]:
     """Return which parameters made the tracks, as far as they say so."""
     summary = None if directory is None else directory / "summary.json"
     known = json.loads(summary.read_bytes()) if summary is not None and summary.is_file() else {}
-    return {name: known.get(name) for name in ("parameters_digest", "filter")}
+    return {name: known.get(name) for name in ("parameters_digest", "profile", "filter")}

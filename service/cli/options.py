@@ -14,6 +14,10 @@ ShowProgress = Annotated[
 Filter = Annotated[
     str | None, typer.Option("--filter", metavar="NAME", help="Filter of each track, such as astekf or imm.")
 ]
+Profile = Annotated[
+    str | None,
+    typer.Option("--profile", metavar="NAME", help="Cost and accuracy: fast, default or quality."),
+]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the tracker; repeat for more."),

@@ -35,6 +35,7 @@ def provenance(parameters: TrackerParameters | None = None) -> dict[str, object]
     return {
         "version": __version__,
         "parameters_digest": parameters.digest(),
+        "profile": parameters.profile,
         "filter": parameters.filter,
     }
 

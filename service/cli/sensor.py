@@ -25,6 +25,7 @@ COLUMNS = ("sensor_id", "name", "site_id", "filter", "rate_hz", "mount_height_m"
 def add(
     site: Annotated[Path, typer.Argument(metavar="SITE.json", help="The sensor as mounted.")],
     *,
+    profile: options.Profile = None,
     filter_name: options.Filter = None,
     settings: options.Set = None,
     url: options.Url = options.DEFAULT_URL,
@@ -35,7 +36,7 @@ def add(
     from service.cli.client import Client
     from service.cli.site_file import read_site
 
-    config = read_site(site, filter_name, settings or ())
+    config = read_site(site, filter_name, settings or (), profile)
     with Client(url, key) as client:
         sensor = client.request("POST", "/sensors", json=config.model_dump(mode="json"))
     if as_json:

@@ -12,8 +12,13 @@ from service.tracking.filters.registry import make_filter
 from service.traffic.parameters import traffic_setup
 
 
-def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str] = ()) -> SensorConfig:
-    """Return the sensor of SITE.json with the filter and KEY=VALUE settings of the command line on top.
+def read_site(
+    path: Path,
+    filter_name: str | None = None,
+    settings: Sequence[str] = (),
+    profile: str | None = None,
+) -> SensorConfig:
+    """Return the sensor of SITE.json with profile, filter and KEY=VALUE settings of the command line on top.
 
     Raises InvalidInput for a file that is none, an unknown parameter or a value that does not fit.
     """
@@ -24,14 +29,21 @@ def read_site(path: Path, filter_name: str | None = None, settings: Sequence[str
     except (InvalidInput, UnicodeDecodeError) as error:
         faults = error.errors if isinstance(error, InvalidInput) else ()
         raise InvalidInput(f"{path} is no site file: {error}", faults) from None
-    return with_settings(config, filter_name, settings)
+    return with_settings(config, filter_name, settings, profile)
 
 
-def with_settings(config: SensorConfig, filter_name: str | None, settings: Sequence[str]) -> SensorConfig:
-    """Return the configuration with another filter and KEY=VALUE settings; raises InvalidInput."""
+def with_settings(
+    config: SensorConfig,
+    filter_name: str | None,
+    settings: Sequence[str],
+    profile: str | None = None,
+) -> SensorConfig:
+    """Return the configuration with another profile, filter and KEY=VALUE settings; raises InvalidInput."""
     changes: dict[str, object] = {"parameters": config.parameters | dict(setting(text) for text in settings)}
     if filter_name is not None:
         changes["filter"] = filter_name
+    if profile is not None:
+        changes["profile"] = profile
     config = config.model_copy(update=changes)
     # names a wrong filter, key or value now, before any work
     make_filter(config.filter, config.tracker_parameters().filters)

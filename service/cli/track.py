@@ -37,6 +37,7 @@ def track(
     site: options.Site,
     out: options.Out,
     *,
+    profile: options.Profile = None,
     filter_name: options.Filter = None,
     settings: options.Set = None,
     force: options.Force = False,
@@ -51,7 +52,7 @@ def track(
     from service.pipeline.offline import fold_frames
     from service.traffic.parameters import traffic_setup
 
-    config = read_site(site, filter_name, settings or ())
+    config = read_site(site, filter_name, settings or (), profile)
     begun_s = time.monotonic()
     with written_together(out, FILES, force=force) as folder, progress(wanted=show) as bar:
         counted = _Counted(read_frames(frames, config), bar, frames)

@@ -78,12 +78,13 @@ def _pairs(frame: CountedFrame, partner: I64, track: I64, gate_m: float) -> tupl
 
 
 def errors(scene: Scene, tracks: RecordedTracks, matches: Matches) -> dict[str, float]:
-    """Return position, velocity and speed errors of the matched pairs (NaN when there are none)."""
+    """Return position, velocity, speed and length errors of the matched pairs (NaN when there are none)."""
     rows, r, s = scene.rows, matches.row, matches.state
     dx, dy = tracks.x_m[s] - rows.x_m[r], tracks.y_m[s] - rows.y_m[r]
     sin, cos = np.sin(rows.heading_rad[r]), np.cos(rows.heading_rad[r])
     along = dx * sin + dy * cos
     velocity = np.hypot(tracks.vx_mps[s] - rows.vx_mps[r], tracks.vy_mps[s] - rows.vy_mps[r])
+    length = np.abs(tracks.length_m[s] - rows.length_m[r])
     speed = np.hypot(tracks.vx_mps[s], tracks.vy_mps[s]) - np.hypot(rows.vx_mps[r], rows.vy_mps[r])
     return {
         "pos_rmse_m": _rms(matches.distance_m),
@@ -93,6 +94,7 @@ def errors(scene: Scene, tracks: RecordedTracks, matches: Matches) -> dict[str, 
         "along_std_m": float(np.std(along)) if len(along) else math.nan,
         "vel_rmse_mps": _rms(velocity),
         "speed_mae_mps": mean(np.abs(speed)),
+        "length_mae_m": mean(length[~np.isnan(length)]),
     }
 
 

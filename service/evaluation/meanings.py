@@ -34,6 +34,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "along_bias_m": "Mean error along the vehicle, positive ahead of its middle.",
         "vel_rmse_mps": "Root mean square error of the velocity as a vector.",
         "speed_mae_mps": "Mean absolute error of the speed.",
+        "length_mae_m": "Mean absolute error of the length, from the eighth frame with points on.",
         "latency_median_s": "From a vehicle's entry into view to its confirmed track, median.",
         "latency_p90_s": "The same for nine vehicles of ten.",
         "count_recall": "Share of countable crossings of the lines that were counted.",

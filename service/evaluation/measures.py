@@ -54,6 +54,7 @@ MEASURES = (
     Measure("along_bias_m", "bias along the vehicle, m", "along"),
     Measure("vel_rmse_mps", "velocity RMSE, m/s", "vel"),
     Measure("speed_mae_mps", "speed error, m/s", "speed"),
+    Measure("length_mae_m", "length error, m", "length", 2, floor=1.0),
     Measure("latency_median_s", "latency, median, s", "lat50"),
     Measure("latency_p90_s", "latency, 90th percentile, s", "lat90"),
     Measure("count_recall", "countable crossings, recall", "c.rec", 3, higher_is_better=True),

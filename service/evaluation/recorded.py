@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,7 @@ class RecordedTracks:
     y_m: F64
     vx_mps: F64
     vy_mps: F64
+    length_m: F64  # of the vehicle, NaN: not told
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,29 +63,33 @@ class FoundLane:
 
 
 State = tuple[float, float, float, float]  # x, y [m], vx, vy [m/s]
+SizedState = tuple[float, float, float, float, float]  # and the length [m]
 
 
-def record(frames: Sequence[dict[TrackId, State]]) -> RecordedTracks:
+def record(frames: Sequence[Mapping[TrackId, State | SizedState]]) -> RecordedTracks:
     """Return the states of all frames, given for each frame by track id, as arrays."""
     names = sorted({name for frame in frames for name in frame}, key=str)
     index = {name: i for i, name in enumerate(names)}
-    values = np.array([state for frame in frames for state in frame.values()], dtype=np.float64).reshape(
-        -1, 4
-    )
+    states = [(*state, math.nan)[:5] for frame in frames for state in frame.values()]
+    values = np.array(states, dtype=np.float64).reshape(-1, 5)
     start = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])]).astype(np.int64)
     track = np.array([index[name] for frame in frames for name in frame], dtype=np.int64)
     return RecordedTracks(tuple(names), start, track, *values.T)
 
 
-def read_tracks(path: Path, scene: Scene) -> RecordedTracks:
+def read_tracks(path: Path, scene: Scene, summaries: Path | None = None) -> RecordedTracks:
     """Read tracks as JSON lines: one record for each frame with "tracks", or one for each track and frame.
+
+    A state's `length_m` is read where it is told; else the track's own length, from its summary, if there is
+    one.
 
     The frame number decides to which frame a record belongs, without one (or with an unknown one) the time;
     records of other frames and tracks that are not confirmed are left out. Raises InvalidInput with file
     and line.
     """
     place = {int(n): i for i, n in enumerate(scene.number)}
-    frames: list[dict[TrackId, State]] = [{} for _ in scene.number]
+    lengths = {} if summaries is None else _lengths(summaries)
+    frames: list[dict[TrackId, SizedState]] = [{} for _ in scene.number]
     for count, entry in lines.read_records(path):
         try:
             frame = _frame_of(entry, place, scene.time_s)
@@ -92,7 +97,10 @@ def read_tracks(path: Path, scene: Scene) -> RecordedTracks:
                 continue
             for state in lines.items(entry, "tracks") if "tracks" in entry else [entry]:
                 if state.get("status", "confirmed") in _COUNTED:
-                    frames[frame][_name(state["track_id"], "track_id")] = _state(state)
+                    name = _name(state["track_id"], "track_id")
+                    told = _optional(state, "length_m", "length")
+                    length_m = lengths.get(name, math.nan) if math.isnan(told) else told
+                    frames[frame][name] = (*_state(state), length_m)
         except (KeyError, TypeError, ValueError) as error:
             raise InvalidInput(f"{path}, line {count}: {lines.describe(error)}") from None
     return record(frames)
@@ -145,6 +153,12 @@ def _frame_of(entry: lines.Record, place: dict[int, int], time_s: F64) -> int | 
     apart = np.abs(time_s - lines.time_us(entry) / 1e6)
     nearest = int(np.argmin(apart))
     return nearest if apart[nearest] < _NEAR_S else None
+
+
+def _lengths(path: Path) -> dict[TrackId, float]:
+    """Return the length of each track whose summary tells one."""
+    pairs = lines.read_each(path, lambda q: (_name(q["track_id"], "track_id"), _optional(q, "length_m")))
+    return {name: length_m for name, length_m in pairs if not math.isnan(length_m)}
 
 
 def _state(state: lines.Record) -> State:

@@ -6,7 +6,7 @@ import multiprocessing
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
@@ -15,14 +15,14 @@ import numpy as np
 from service.errors import InvalidInput
 from service.evaluation import scores
 from service.evaluation.measures import Value
-from service.evaluation.recorded import RecordedTracks, State, TrackId, record
+from service.evaluation.recorded import RecordedTracks, SizedState, TrackId, record
 from service.evaluation.truth import Scene, read_scene
 from service.formats.json_frames import read_frames
 from service.formats.sensor import SensorConfig
 from service.formats.tracks import frame_line
 from service.tracking import tracker
 from service.tracking.model import Frame, TrackEstimates
-from service.tracking.parameters import SensorModel, TrackerParameters
+from service.tracking.parameters import TrackerParameters
 
 Result = dict[str, Value]
 
@@ -37,6 +37,7 @@ class Job:
     settings: tuple[str, ...] = ()  # KEY=VALUE
     until_s: float | None = None
     keep: Path | None = None  # directory for SCENE/tracks.jsonl of what the tracker found
+    profile: str | None = None  # None: the site's own
 
 
 def run_all(jobs: Sequence[Job], processes: int = 1) -> Iterator[Result]:
@@ -66,22 +67,29 @@ def run(job: Job) -> Result:
         **scores.score(scene, tracks),
         "ms_per_frame": 1e3 * float(np.mean(settled)),
         "ms_p99": 1e3 * float(np.percentile(settled, 99)),
-        # of the scene's own mount and radar nothing remains: one configuration has one digest on all scenes
-        "parameters": replace(parameters, sensor=SensorModel()).digest(),
+        "parameters": _digest(scene.site, job),
     }
 
 
+def _digest(site: SensorConfig, job: Job) -> str:
+    """Return the digest of the job's configuration for a sensor like any other, so that scenes have one."""
+    anywhere = SensorConfig(profile=site.profile, filter=site.filter, parameters=site.parameters)
+    return configured(anywhere, job).tracker_parameters().digest()
+
+
 def configured(site: SensorConfig, job: Job) -> SensorConfig:
-    """Return the sensor with the job's filter and settings on top."""
+    """Return the sensor with the job's profile, filter and settings on top."""
     chosen = dict(setting.split("=", 1) for setting in job.settings)
     changes: dict[str, object] = {"parameters": site.parameters | chosen}
-    return site.model_copy(update=changes if job.filter is None else changes | {"filter": job.filter})
+    chosen_names = {"filter": job.filter, "profile": job.profile}
+    changes |= {name: value for name, value in chosen_names.items() if value is not None}
+    return site.model_copy(update=changes)
 
 
 def _track(job: Job, scene: Scene, parameters: TrackerParameters) -> tuple[RecordedTracks, list[float]]:
     """Return the tracks of the scene's frames and the CPU seconds of each step."""
     number = {int(n): k for k, n in enumerate(scene.number)}
-    frames: list[dict[TrackId, State]] = [{} for _ in number]
+    frames: list[dict[TrackId, SizedState]] = [{} for _ in number]
     lines: list[bytes] = []
     state, cpu_s = tracker.initial_state(parameters), []
     for frame in takewhile(lambda f: f.sequence in number, _frames_of(job.scene, scene.site)):
@@ -99,9 +107,10 @@ def _track(job: Job, scene: Scene, parameters: TrackerParameters) -> tuple[Recor
     return record(frames), cpu_s
 
 
-def states_of(estimates: TrackEstimates) -> dict[TrackId, State]:
-    """Return the place and velocity of each track by its number."""
-    columns = (estimates.x_m, estimates.y_m, estimates.vx_mps, estimates.vy_mps)
+def states_of(estimates: TrackEstimates) -> dict[TrackId, SizedState]:
+    """Return place, velocity and length of each track by its number."""
+    e = estimates
+    columns = (e.x_m, e.y_m, e.vx_mps, e.vy_mps, e.length_m)
     states = zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns), strict=True)
     return dict(zip(estimates.number.tolist(), states, strict=True))
 

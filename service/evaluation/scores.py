@@ -41,7 +41,8 @@ Scores = dict[str, float | int | str]
 def evaluate(tracks_dir: Path, truth_dir: Path, until: float | None = None) -> Scores:
     """Score a directory that `wayside track` wrote; raises InvalidInput.
 
-    Read are tracks.jsonl and, where present, crossings.jsonl, lanes.json and changes.jsonl, each also as .gz.
+    Read are tracks.jsonl and, where present, track_summaries.jsonl (lengths), crossings.jsonl, lanes.json and
+    changes.jsonl, each also as .gz.
     """
     tracks = _present(tracks_dir, "tracks.jsonl")
     if tracks is None:
@@ -49,6 +50,7 @@ def evaluate(tracks_dir: Path, truth_dir: Path, until: float | None = None) -> S
     return score_scene(
         truth_dir,
         tracks,
+        summaries=_present(tracks_dir, "track_summaries.jsonl"),
         flow=_present(tracks_dir, "crossings.jsonl"),
         lanes=_present(tracks_dir, "lanes.json"),
         changes=_present(tracks_dir, "changes.jsonl"),
@@ -60,6 +62,7 @@ def score_scene(  # noqa: PLR0913 - one optional file a keyword
     scene_dir: Path,
     tracks: Path,
     *,
+    summaries: Path | None = None,
     flow: Path | None = None,
     lanes: Path | None = None,
     changes: Path | None = None,
@@ -71,7 +74,7 @@ def score_scene(  # noqa: PLR0913 - one optional file a keyword
         scene = scene.until(until)
     return score(
         scene,
-        read_tracks(tracks, scene),
+        read_tracks(tracks, scene, summaries),
         crossings=None if flow is None else read_crossings(flow, scene),
         lanes=None if lanes is None else read_lanes(lanes),
         changes=None if changes is None else read_changes(changes, scene),

@@ -11,7 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from service.tracking.fitting import fit_to_sensor
 from service.tracking.parameters import SensorModel, TrackerParameters
+from service.tracking.profiles import profile_parameters
 
 LINE_LEAST_M = 0.5  # of a count line: nothing on wheels is narrower
 TRAFFIC_PREFIX = "traffic."  # of the keys of `parameters` that are of traffic analysis, not of the tracker
@@ -114,6 +116,7 @@ class SensorConfig(_Schema):
     detection_threshold_db: Finite = 12.0
     count_lines: tuple[CountLine, ...] = ()
     lanes: LaneControl = LaneControl()
+    profile: Literal["fast", "default", "quality"] = "default"  # which values the tracker starts from
     filter: str = "astekf"
     parameters: dict[str, str] = {}  # dotted key -> text, as in `wayside track --set key=value`
 
@@ -148,7 +151,7 @@ class SensorConfig(_Schema):
 
     def tracker_parameters(self) -> TrackerParameters:
         """Return the tracker's parameters with this configuration's overrides; raises InvalidInput."""
-        parameters = TrackerParameters(sensor=self.sensor_model(), filter=self.filter)
+        parameters = fit_to_sensor(profile_parameters(self.profile, self.sensor_model(), self.filter))
         for key in sorted(self.parameters):
             if key.startswith(TRAFFIC_PREFIX):
                 continue  # service.traffic.parameters reads them

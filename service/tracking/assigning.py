@@ -64,7 +64,7 @@ def box_array(tracks: Tracks, mean: F64, cov: F64, p: TrackerParameters) -> F64:
     """Return the predicted boxes (T, BOX_COLUMNS)."""
     return _box_array(
         mean, cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.hits, tracks.confirmed,
-        p.boxes.growth_reach_m, p.boxes.young_hits, p.boxes.tentative_handicap,
+        p.boxes.growth_reach_m, p.boxes.young_hits, p.boxes.tentative_handicap, p.boxes.doppler_margin_mps**2,
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def box_array(tracks: Tracks, mean: F64, cov: F64, p: TrackerParameters) -> F64:
 def _box_array(
     mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool,
     growth_reach: float,
-    young_hits: int, handicap: float,
+    young_hits: int, handicap: float, doppler_margin: float,
 ) -> F64:  # fmt: skip
     n = len(heading)
     out = np.zeros((n, BOX_COLUMNS))
@@ -87,6 +87,7 @@ def _box_array(
         out[i, BVAR_U] = s * s * xx + 2 * s * c * xy + c * c * yy
         out[i, BVAR_W] = c * c * xx - 2 * s * c * xy + s * s * yy
         out[i, BVAR_V] = lx * lx * cov[i, 1, 1] + 2 * lx * ly * cov[i, 1, 4] + ly * ly * cov[i, 4, 4]
+        out[i, BVAR_V] += doppler_margin
         # only end-on and moving may a box reach beyond its ends, mostly the far one
         if speed > 1.0 and abs(lx * s + ly * c) > 0.5:
             reach = min(growth_reach, 0.5 * speed)

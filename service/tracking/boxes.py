@@ -101,7 +101,7 @@ def point_costs(points: F64, boxes: F64) -> F64:
                 continue
             if p[PV] == p[PV]:
                 dv = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
-                d2 += dv * dv / (0.04 + (0.02 * b[BSPEED]) ** 2 + b[BVAR_V])
+                d2 += dv * dv / ((0.02 * b[BSPEED]) ** 2 + b[BVAR_V])
             axis = w / (0.5 * width + 0.3)
             cost[i, j] = d2 + 0.25 * axis * axis
     return cost

@@ -73,6 +73,9 @@ class AssociationParameters:
     temper: float = 1.0  # power of the joint weights of contested components; 1: none
     doppler_noise_factor: float = 1.3  # wheels and turning bodies spread the Doppler of a vehicle's points
     doppler_floor_mps: float = 0.05
+    doppler_margin_mps: float = (
+        0.2  # that a point's range rate may differ from its box's without a cost of note
+    )
     widen_after: int = 3  # empty frames in a row after which the gate is widened
     widen_position_m2: float = 0.06  # added per frame to each position variance
     widen_velocity_m2ps2: float = 0.5
@@ -89,6 +92,9 @@ class TrackerParameters:
     """How the tracker works; one set of defaults serves every road."""
 
     sensor: SensorModel = field(default_factory=SensorModel)
+    profile: str = (
+        "default"  # whose values these are, before settings of one's own; service.tracking.profiles
+    )
     filter: str = "astekf"  # name in service.tracking.filters.registry
     filters: FilterParameters = field(default_factory=FilterParameters)
     # three points, not four: a car at 140 m gives one a frame, and two frames of three start its track
@@ -112,6 +118,8 @@ class TrackerParameters:
 
         Raises InvalidInput naming the key when it does not exist or the text does not fit its type.
         """
+        if key == "profile":
+            raise InvalidInput.at("/profile", "is chosen before all settings, not by one")
         return with_setting(self, key, text)
 
     def as_dict(self) -> dict[str, object]:

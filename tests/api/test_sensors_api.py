@@ -51,6 +51,8 @@ def test_a_merge_patch_changes_only_what_it_names(service):
     assert reply.status_code == 200, reply.text
     assert reply.json()["region"] == {"range_min_m": 12, "range_max_m": 120, "azimuth_max_deg": 45}
     assert (reply.json()["revision"], service.host.config("patched").region.range_min_m) == (2, 12)
+    fast = service.patch("/sensors/patched", json={"profile": "fast"}).json()
+    assert (fast["profile"], service.host.config("patched").tracker_parameters().profile) == ("fast", "fast")
     removed = service.patch("/sensors/patched", json={"parameters": None, "name": None}).json()
     assert (removed["parameters"], removed["name"]) == ({}, "patched")
 
@@ -61,6 +63,7 @@ def test_a_sensor_that_the_tracker_cannot_work_with_is_refused(service):
         return problem(reply, 422)["errors"][0]["pointer"]
 
     assert pointer(filter="magic") == "/filter"
+    assert pointer(profile="best") == "/profile"
     assert pointer(parameters={"no.such": "1"}).startswith("/parameters/")
     assert pointer(region={"azimuth_max_deg": 200}) == "/region/azimuth_max_deg"
     assert pointer(site_id="nowhere") == "/site_id"

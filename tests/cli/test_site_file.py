@@ -9,6 +9,7 @@ import pytest
 
 from service.cli.site_file import read_site
 from service.errors import InvalidInput
+from service.tracking.profiles import PROFILES
 
 
 @pytest.fixture
@@ -27,6 +28,23 @@ def test_a_site_file_takes_filter_and_settings_of_the_command_line(site):
     assert parameters.sensor.range_std_m == 0.4
     assert parameters.clustering.window_frames == 5
     assert parameters.digest() != read_site(site).tracker_parameters().digest()
+
+
+def test_a_profile_is_what_settings_go_on_top_of(site):
+    site.write_text(json.dumps({"sensor_id": "radar-7", "profile": "fast"}))
+    fast, default = read_site(site), read_site(site, profile="default")
+    mixed = read_site(site, None, ["clustering.window_frames=6"])
+
+    assert fast.tracker_parameters().profile == fast.profile == "fast"
+    assert fast.tracker_parameters().clustering.window_frames < 4
+    assert default.tracker_parameters().clustering.window_frames == 4
+    assert mixed.tracker_parameters().clustering.window_frames == 6
+    digests = {read_site(site, profile=name).tracker_parameters().digest() for name in PROFILES}
+    assert len(digests) == len(PROFILES) == 3
+    with pytest.raises(InvalidInput, match="want fast, default, quality, got 'best'"):
+        read_site(site, profile="best")
+    with pytest.raises(InvalidInput, match="profile"):
+        read_site(site, None, ["profile=fast"])
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_the_summary_names_version_parameters_and_counts(tracked, scene):
     lines = records(tracked / "tracks.jsonl")
     assert summary["version"] == service.__version__
     assert summary["parameters_digest"] == config.tracker_parameters().digest()
-    assert summary["filter"] == "astekf"
+    assert (summary["profile"], summary["filter"]) == ("default", "astekf")
     assert summary["frames"] == len(lines) == 120
     assert summary["states"] == sum(len(line["tracks"]) for line in lines)
     assert summary["tracks"] == len(records(tracked / "track_summaries.jsonl"))
@@ -78,11 +78,11 @@ def test_a_recording_in_two_files_is_one_recording(run, tracked, scene, tmp_path
 def test_another_filter_is_another_set_of_parameters(run, tracked, scene, tmp_path):
     result = run(
         "track", scene / "frames.jsonl.gz", "--site", scene / "site.json", "--out", tmp_path / "ekf",
-        "--filter", "ekf", "--set", "clustering.window_frames=4", "--json",
+        "--profile", "fast", "--filter", "ekf", "--set", "clustering.window_frames=4", "--json",
     )  # fmt: skip
 
     told = json.loads(result.stdout)
-    assert told["filter"] == "ekf"
+    assert (told["profile"], told["filter"]) == ("fast", "ekf")
     assert (
         told["parameters_digest"] != json.loads((tracked / "summary.json").read_text())["parameters_digest"]
     )

@@ -24,6 +24,9 @@ pytestmark = [
 ]
 
 
+OWN = {"length_mae_m"}  # scores that the reference does not have
+
+
 @cache
 def truth_of(scene: str) -> reference_tracks.Truth:
     return reference_tracks.read(SCENES / scene)
@@ -51,7 +54,7 @@ def test_every_score_agrees_with_the_reference(scene, variant, tmp_path):
         changes=read_changes(files["changes"], part) if "changes" in files else None,
     )
 
-    assert list(scores) == list(expected)
+    assert [key for key in scores if key not in OWN] == list(expected)
     for key, value in expected.items():
         found = scores[key]
         if value is None:

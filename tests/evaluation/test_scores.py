@@ -61,6 +61,18 @@ def test_the_near_face_is_as_right_as_the_centre(scene, tmp_path):
     assert s["lateral_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_lengths_are_those_of_the_states_or_else_of_the_summaries(scene, tmp_path):
+    short = write_lines(tmp_path / "short.jsonl", [{"track_id": 2, "length_m": 3.0}, {"track_id": 1}])
+
+    untold = scores_of(scene, tmp_path)
+    summed_up = scores_of(scene, tmp_path, summaries=short)
+    told = scores_of(scene, tmp_path, lambda _k, _v, q: {**q, "length_m": 4.5}, summaries=short)
+
+    assert math.isnan(untold["length_mae_m"])
+    assert summed_up["length_mae_m"] == pytest.approx(1.0)  # of the one that tells its length, 4 m long
+    assert told["length_mae_m"] == pytest.approx(0.5)
+
+
 def test_a_missing_vehicle_costs_half_a_cut_off_squared(scene, tmp_path):
     s = scores_of(scene, tmp_path, lambda _k, v, q: q if v is ONE else None)
 

@@ -63,7 +63,7 @@ def slow_costs(box, point):
     d2 = du**2 / (var_u + column[b.BVAR_U] + 0.09) + dw**2 / (var_w + column[b.BVAR_W] + 0.04)
     far = d2 > 60.0
     rate = (column[b.BVX] * point[:, b.PX] + column[b.BVY] * point[:, b.PY]) / point[:, b.PG]
-    doppler = (point[:, b.PV] - rate) ** 2 / (0.04 + (0.02 * column[b.BSPEED]) ** 2 + column[b.BVAR_V])
+    doppler = (point[:, b.PV] - rate) ** 2 / ((0.02 * column[b.BSPEED]) ** 2 + column[b.BVAR_V])
     cost = d2 + np.nan_to_num(doppler) + 0.25 * (w / (0.5 * column[b.BWID] + 0.3)) ** 2
     return np.where(far, np.inf, cost)
 
