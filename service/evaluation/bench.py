@@ -3,7 +3,8 @@
 A shared machine is never equally fast twice, so every time stands beside one numpy product of two 6 x 6
 matrices measured between the same steps, and is given as a multiple of it too. The loads take turns of a few
 steps, so that a slow minute slows all of them. The tracker is timed alone; a second run through the fold,
-which is what happens live and offline, tells what that adds: order, rows, traffic (the stage "fold").
+which is what happens live and offline, tells what that adds: order, rows, traffic (the stage "fold"; the
+stage "traffic" is that part of it, taken once more).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from service.tracking.state import TrackerState
 Clock = Callable[[], float]
 
 LOADS = (Load(30, 140), Load(60, 260), Load(120, 500))
-STAGES = (*tracker.STAGES, "fold")  # the last one only where a fold is given
+STAGES = (*tracker.STAGES, "fold", "traffic")  # the last two only where a fold is given
 _SEED = 1
 _PRODUCTS = 100  # products for one reading of the clock, which is too coarse for one
 _TURN = 20  # steps of one load before the next one has its turn
@@ -43,6 +44,11 @@ class Folding(Protocol):
     @property
     def added_s(self) -> list[float]:
         """Return the seconds beside the tracker's, by step."""
+        ...
+
+    @property
+    def traffic_s(self) -> list[float]:
+        """Return the seconds of traffic analysis among them, by step."""
         ...
 
     def advance(self, begin: int, end: int) -> None:
@@ -185,7 +191,9 @@ class Run:
         """Return the result of the steps after `warm_up`, with what the fold adds."""
         stages = np.array(self._stage_s[warm_up:])
         steps = stages.sum(axis=1)
-        columns = [*stages.T, *([] if folded is None else [np.array(folded.added_s[warm_up:])])]
+        columns = list(stages.T)
+        if folded is not None:
+            columns += [np.array(seconds[warm_up:]) for seconds in (folded.added_s, folded.traffic_s)]
         return Timing(
             load=load,
             tracks=self.tracks,

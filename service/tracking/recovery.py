@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from service.tracking.filters.converted import PLANAR_STATES, Returns, distances
 from service.tracking.filters.fir import FirEstimate, FirWindow, empty_window, fit_window
@@ -173,6 +173,9 @@ def _occupied(mean: F64, cov: F64, place: F64, spread: F64, p: RecoveryParameter
 
 @cache
 def _largest_misfit(probability: float, horizon: int) -> F64:
-    """Return the chi-square threshold by number of positions in the window."""
+    """Return the chi-square threshold by number of positions in the window.
+
+    Its quantile is twice that of the gamma distribution; scipy.stats takes half a second to import.
+    """
     freedom = 2 * np.arange(horizon + 1) - PLANAR_STATES
-    return np.where(freedom > 0, chi2.ppf(probability, np.maximum(freedom, 1)), np.inf)
+    return np.where(freedom > 0, 2.0 * gammaincinv(0.5 * np.maximum(freedom, 1), probability), np.inf)

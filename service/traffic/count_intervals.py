@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import nbinom, poisson
 
 from service.tracking.model import F64, I64
 
@@ -57,6 +56,8 @@ def hidden_share(density_per_m: F64, range_m: F64, c: Confidence) -> F64:
 
 def volume_bounds(counted: Counted, c: Confidence) -> tuple[I64, I64]:
     """Return the bounds (R,) of the true volume."""
+    from scipy.stats import nbinom, poisson  # noqa: PLC0415 - half a second of import, for who asks for volumes
+
     tail, n = (1.0 - c.level) / 2, counted.n
     low = n - poisson.ppf(1.0 - tail, np.maximum(counted.doubt, c.false_share * n))
     hidden = np.minimum(hidden_share(counted.density_per_m, counted.range_m, c), 0.9)

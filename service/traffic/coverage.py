@@ -28,6 +28,11 @@ def receive(state: Coverage, time_us: int, rate_hz: float, blind_s: float) -> Co
     if state.last_us is not None and time_us - state.last_us <= blind_s * 1e6:
         begin_us = state.last_us
     expected = round(60 * rate_hz)
+    newest = state.minutes[-1] if state.minutes else None
+    if newest is not None and newest.minute == begin_us // MINUTE_US == time_us // MINUTE_US:
+        observed_us = newest.observed_us + time_us - begin_us
+        grown = Received(newest.minute, newest.frames + 1, newest.expected, observed_us)
+        return Coverage((*state.minutes[:-1], grown), time_us, told=False)
     minutes = {part.minute: part for part in state.minutes}
     now = time_us // MINUTE_US
     for minute in range(begin_us // MINUTE_US, now + 1):

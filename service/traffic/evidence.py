@@ -53,9 +53,9 @@ def add(evidence: Evidence, path: Trajectory, p: EvidenceParameters) -> Evidence
     if points is None:
         return evidence
     if len(evidence.paths) >= p.paths:
-        evidence = _without_oldest(evidence)
+        evidence = _without(evidence, _oldest_of_most(evidence))
     if len(evidence.paths) and evidence.next_path - evidence.paths[0] > p.forget_after:
-        evidence = latest(evidence, len(evidence.paths) - 1)
+        evidence = _without(evidence, 0)
     lanes = path.samples.lane[path.samples.lane > 0]
     lane = np.bincount(lanes).argmax() if len(lanes) else 0
     number = evidence.next_path
@@ -98,16 +98,25 @@ def _averaged(points: F64, reach: int) -> F64:
     return np.asarray((total[index + here + 1] - total[index - here]) / (2 * here + 1)[:, None])
 
 
-def _without_oldest(evidence: Evidence) -> Evidence:
-    """Return the evidence without the oldest path of the lane that has most."""
+def _oldest_of_most(evidence: Evidence) -> int:
+    """Return the place of the oldest path of the lane that has most."""
     crowded = int(np.bincount(evidence.lane).argmax())
-    at = int(np.flatnonzero(evidence.lane == crowded)[0])
-    number = evidence.paths[at]
-    keep = evidence.path != number
+    return int((evidence.lane == crowded).argmax())
+
+
+def _without(evidence: Evidence, at: int) -> Evidence:
+    """Return the evidence without the path at a place; its points are one piece of the table."""
+    e, number = evidence, evidence.paths[at]
+    first, end = np.searchsorted(e.path, number), np.searchsorted(e.path, number, side="right")
     return Evidence(
-        evidence.path[keep], evidence.x_m[keep], evidence.y_m[keep], evidence.heading_rad[keep],
-        np.delete(evidence.paths, at), np.delete(evidence.lane, at), evidence.next_path,
-    )  # fmt: skip
+        path=np.concatenate((e.path[:first], e.path[end:])),
+        x_m=np.concatenate((e.x_m[:first], e.x_m[end:])),
+        y_m=np.concatenate((e.y_m[:first], e.y_m[end:])),
+        heading_rad=np.concatenate((e.heading_rad[:first], e.heading_rad[end:])),
+        paths=np.delete(e.paths, at),
+        lane=np.delete(e.lane, at),
+        next_path=e.next_path,
+    )
 
 
 def latest(evidence: Evidence, count: int) -> Evidence:

@@ -98,7 +98,8 @@ def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
     gone = np.flatnonzero(find(listed, paths.number) < 0)
     if not len(gone):
         return ()
-    everything = join((paths.past, *paths.recent))
+    past = take(paths.past, np.flatnonzero(find(paths.number[gone], paths.past.number) >= 0))
+    everything = join((past, *paths.recent))
     return tuple(
         Trajectory(
             number=int(paths.number[i]),
