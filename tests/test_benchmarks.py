@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import hostile, ingest  # noqa: E402
+from benchmarks import counts, hostile, ingest  # noqa: E402
 
 
 @pytest.mark.slow
@@ -66,3 +66,17 @@ def test_streams_long_polls_and_an_export_are_served_beside_posts(tmp_path):
     assert last["readers"]["streams"]["slowest_reader_hz"] > 0
     assert last["readers"]["polls"]["views_per_s"] > 0
     assert last["export"]["frames"] == 200
+
+
+@pytest.mark.slow
+def test_the_counts_of_a_short_recording_are_held_against_exact_truth():
+    whole, broken = (counts.tally(counts.make("motorway", 1, 25.0, gaps=gaps)) for gaps in (False, True))
+
+    found = counts.volumes([whole]) | counts.events([whole])
+    assert found["crossings_true"] >= 15
+    assert found["recall"] >= 0.85
+    assert found["precision"] >= 0.95
+    assert found["lane_right"] >= 0.95
+    assert abs(found["time_bias_s"]) < 0.05
+    assert sum(metres for metres, _ in whole.cells.values()) > 1000
+    assert len(broken.crossings) < len(whole.crossings)

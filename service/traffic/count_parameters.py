@@ -30,6 +30,9 @@ class CountParameters:
 
     least_life_s: float = 1.0  # listed for less, a vehicle is more often a ghost than not
     least_existence: float = 0.5  # of a track whose crossing is counted
+    real_share: float = (
+        0.995  # of crossings of tracks that exist for sure: some are second tracks of a vehicle
+    )
     least_speed_mps: float = 0.1  # of a crossing: what 1/v and occupancy can bear
     assumed_length_m: float = 4.5  # of a vehicle whose length is not known yet: a car's
     cell_m: float = 20.0  # of a lane: Edie's cells hold a few vehicles each, and a minute of them

@@ -269,7 +269,7 @@ def _fit(x: Pending, view: View) -> Crossing:
         y_m=x.y_m,
         speed_mps=max(float(_at_zero(time_s - delay_s, speed)), p.least_speed_mps),
         length_m=float(samples.real[LENGTH, -1]),
-        probability=_mean(real[EXISTENCE]),
+        probability=_mean(real[EXISTENCE]) * p.real_share,
     )
 
 

@@ -198,3 +198,13 @@ def test_time_without_frames_is_not_observed():
         state, _ = count(state, Moment(START_US + k * FRAME_US, k, tick=False), NOBODY, NO_MAP, SETUP)
 
     assert sum(part.observed_us for part in state.coverage.minutes) == pytest.approx(9.95e6, abs=1)
+
+
+def test_the_probability_is_the_existence_of_the_track_and_that_it_is_no_second_one():
+    frames = drive(1, approach())
+    for now in frames:
+        now.existence[:] = 0.8
+
+    (crossing,) = crossings(frames)
+
+    assert crossing.probability == pytest.approx(0.8 * SETUP.parameters.counting.real_share, abs=1e-6)
