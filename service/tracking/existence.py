@@ -69,7 +69,7 @@ class ExistenceParameters:
     mirror_db: float = 3.0
     rail_range_m: float = 8.0  # the same, where a row of standing echoes lies between the two
     rail_mps: float = 1.5
-    ghost_life_s: float = 2.0  # ghosts live some 0.6 s: what lasts longer is no ghost
+    ghost_life_s: float = 4.0  # most ghosts live some 0.6 s, a few two or three: what lasts longer is none
     slow_wait: float = 5.0
     slow_range_rate_mps: float = 1.3  # what moves slower than this along the line of sight ...
     slow_travel_m: float = 3.0  # ... and has not come further than this may be a post

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.tracking import clutter as clutter_map
-from service.tracking import lifecycle, points, starting, tracker
+from service.tracking import existence, lifecycle, points, starting, tracker
 from service.tracking.boxes import PECHO, PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.clutter import ClutterParameters
 from service.tracking.geometry import plan_points
@@ -120,6 +120,24 @@ def test_silent_tracks_outside_the_view_have_left_and_the_sure_ones_give_the_ech
     np.testing.assert_array_equal(lifecycle._left_view(t, p), outside & (t.empty > 0))
     assert lifecycle._echo_reference(t, 0.0, p) == pytest.approx(t.echo_db[sure].mean())
     assert lifecycle._echo_reference(t.take(~sure), 7.0, p) == 7.0
+
+
+@pytest.mark.parametrize(("age_s", "status"), [(3.0, TrackStatus.TENTATIVE), (5.0, TrackStatus.CONFIRMED)])
+def test_what_looks_like_a_mirror_image_waits_until_a_ghost_would_be_gone(rng, age_s, status):
+    t, p = some_tracks(rng).take(np.array([0])), TrackerParameters()
+    mean = np.zeros((1, 6))
+    mean[0, [0, 3, 4]] = 8.0, 70.0, -15.0
+    t = t.but(
+        mean=mean, status=np.array([TrackStatus.TENTATIVE], dtype=np.uint8), points_per_hit=np.ones(1),
+        log_odds=np.full(1, 6.0), empty=np.zeros(1, dtype=np.int64), echo_db=np.zeros(1),
+        born_us=np.array([0]), hit_us=np.array([round(age_s * 1e6)]),
+    )  # fmt: skip
+    yes, no = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
+    around = existence.Surroundings(driven=yes, off_road=no, known_road=yes, behind_rail=yes)
+
+    found, over = existence.judge(t, around, round(age_s * 1e6), no, 0.0, p.existence)
+
+    assert (found.tolist(), over.tolist()) == ([status], [False])
 
 
 def test_the_map_learns_lone_standing_points_and_forgets_without_subnormal_numbers(rng):
