@@ -74,7 +74,7 @@ class ExistenceParameters:
     slow_range_rate_mps: float = 1.3  # what moves slower than this along the line of sight ...
     slow_travel_m: float = 3.0  # ... and has not come further than this may be a post
     slow_points: float = 2.6  # off the driven road it needs so many points a hit: a post gives one
-    # a confirmed track that stands where nobody drives, and gives few points, is a post
+    # a track that stands in plain sight where nobody drives, and gives few points, is a post
     post_after_s: float = 1.0
     post_travel_m: float = 15.0
     post_points: float = 1.8
@@ -330,7 +330,9 @@ def _judge(
         silent = (time_us - hit_us[i]) / 1e6 > limit + 1e-9
         patient = sure and hits[i] >= settled and (standing or hidden[i])
         unlikely = log_odds[i] < delete and not patient
-        post = standing and not driven[i] and travel < post_travel and points[i] < post_points
+        post = (
+            standing and not hidden[i] and not driven[i] and travel < post_travel and points[i] < post_points
+        )
         post = post and (time_us - born_us[i]) / 1e6 > post_after
         over[i] = silent or unlikely or post
 

@@ -1,0 +1,40 @@
+"""When a track ends although it is still seen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from service.tracking import existence
+from service.tracking.existence import ExistenceParameters, Surroundings
+from service.tracking.model import TrackStatus
+from service.tracking.state import Tracks, no_tracks
+
+NOW_US = 10_000_000
+
+
+def ends(*, hidden=False, driven=False, points_per_hit=1.0):
+    """Return whether a confirmed track that has stood for eight seconds and was just seen ends now."""
+    blank = no_tracks(0)
+    columns = (getattr(blank, field.name) for field in dataclasses.fields(blank))
+    track = Tracks(*(np.zeros((1, *c.shape[1:]), c.dtype) for c in columns)).but(
+        mean=np.array([[0.0, 0.0, 0.0, 60.0, 0.0, 0.0]]), cov=0.1 * np.eye(6)[None],
+        status=np.array([TrackStatus.CONFIRMED], dtype=np.uint8), log_odds=np.array([5.0]),
+        hits=np.array([60]), hit_us=np.array([NOW_US]), born_us=np.array([NOW_US - 8_000_000]),
+        born_y_m=np.array([60.0]), points_per_hit=np.array([points_per_hit]),
+    )  # fmt: skip
+    no = np.zeros(1, dtype=np.bool_)
+    around = Surroundings(np.array([driven]), no, no, no)
+    _, over = existence.judge(track, around, NOW_US, np.array([hidden]), 0.0, ExistenceParameters())
+    return bool(over[0])
+
+
+def test_a_post_in_plain_sight_is_given_up():
+    assert ends()
+    assert not ends(driven=True)
+    assert not ends(points_per_hit=4.0)
+
+
+def test_a_vehicle_in_a_shadow_is_not_taken_for_a_post():
+    assert not ends(hidden=True)  # what stands behind a truck gives few points, too
