@@ -70,6 +70,8 @@ class Settings(BaseSettings):
     tracks_days: Days = 400
     events_days: Days = 400
     counts_days: Days = 400
+    lane_maps_days: Days = 400  # the one in force, and those that counts and changes name, stay
+    audit_days: Days = 400
     upkeep_interval_s: PositiveSeconds = 3600.0
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -111,6 +111,7 @@ class Telemetry:
         self.log_waiting = gauge("log_waiting_records", "Records that wait for the disk.")
         self.log_damaged = gauge("log_damaged_records", "Records left out as damaged.")
         self.rows_bytes = gauge("rows_bytes", "Size of the embedded database.")
+        self.rows_oldest_age = gauge("rows_oldest_age_seconds", "Age of the oldest row, 0: none.", "kind")
         self.disk_free = gauge("disk_free_ratio", "Free share of the disk that holds the log.")
 
     def show_clock(self, sensor_id: str, skew_s: float | None, jitter_s: float | None) -> None:

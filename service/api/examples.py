@@ -219,6 +219,7 @@ HEALTH: Final = {
         "log_waiting_records": 0,
         "rows_bytes": 4194304,
         "disk_free_share": 0.62,
+        "oldest_age_s": {"track_states": 612000.5, "tracks": 3024000.5, "acts": 3110400.25},
     },
     "sensors": [
         {

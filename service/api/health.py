@@ -109,6 +109,7 @@ def _storage(storage: StorageHealth) -> StorageReply:
         log_oldest_age_s=_rounded(storage.log_oldest_age_s),
         log_waiting_records=storage.log_waiting_records,
         rows_bytes=storage.rows_bytes,
+        oldest_age_s={kind: round(age_s, 3) for kind, age_s in storage.oldest_age_s.items()},
         disk_free_share=None if share is None else round(share, 4),
     )
 

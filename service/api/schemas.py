@@ -247,6 +247,9 @@ class StorageReply(BaseModel):
     log_waiting_records: int = Field(description="records that wait for the disk")
     rows_bytes: int | None = Field(description="of the embedded database; null for one elsewhere")
     disk_free_share: float | None = Field(description="of the disk that holds the log")
+    oldest_age_s: dict[str, float] = Field(
+        description="since the oldest row of each kind was stored; looked up once a minute, none for no rows"
+    )
 
 
 class TrackerProcessReply(BaseModel):

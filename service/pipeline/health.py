@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from sqlalchemy import Engine
@@ -14,6 +15,7 @@ from service.pipeline.live import LiveState, LiveView
 from service.pipeline.sqlite_log import SqliteLog
 from service.pipeline.tracker_processes import ProcessHealth
 from service.storage.database import file_bytes
+from service.storage.oldest import KINDS
 from service.telemetry import Telemetry
 
 _US_PER_S = 1_000_000
@@ -54,6 +56,7 @@ class StorageHealth:
     log_damaged_records: int = 0
     rows_bytes: int | None = None  # None: a database elsewhere
     disk_free_share: float | None = None
+    oldest_age_s: Mapping[str, float] = field(default_factory=dict)  # of the rows of each kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +101,18 @@ def sensor_health(
     )
 
 
-def storage_health(
-    log: SqliteLog, data_dir: Path, database: Engine, now_us: int, damaged_records: int = 0
+def storage_health(  # noqa: PLR0913 - what it looks at
+    log: SqliteLog,
+    data_dir: Path,
+    database: Engine,
+    now_us: int,
+    *,
+    damaged_records: int,
+    oldest_us: Mapping[str, int],
 ) -> StorageHealth:
     """Return how much is stored; looks at files only, so that the event loop may ask.
 
-    damaged_records: those that tracker processes left out.
+    damaged_records: those that tracker processes left out.  oldest_us: since when rows of each kind are kept.
     """
     disk = shutil.disk_usage(data_dir)
     return StorageHealth(
@@ -114,6 +123,7 @@ def storage_health(
         log_damaged_records=log.damaged_records + damaged_records,
         rows_bytes=file_bytes(database),
         disk_free_share=disk.free / disk.total,
+        oldest_age_s={kind: max(0, now_us - then_us) / _US_PER_S for kind, then_us in oldest_us.items()},
     )
 
 
@@ -131,6 +141,8 @@ def show(health: HostHealth, telemetry: Telemetry) -> None:
     ):
         if value is not None:
             gauge.set(value)
+    for kind in KINDS:
+        telemetry.rows_oldest_age.labels(kind).set(storage.oldest_age_s.get(kind, 0.0))
     for sensor in health.sensors:
         telemetry.queue.labels(sensor.sensor_id).set(sensor.queue_depth)
         telemetry.lag.labels(sensor.sensor_id).set(sensor.lag_s)

@@ -11,13 +11,14 @@ from typing import Any
 import structlog
 from sqlalchemy import Engine
 
-from service.errors import NotFound, Unavailable, WaysideError
+from service.errors import NotFound, Unavailable
 from service.formats.sensor import SensorConfig
 from service.pipeline.channel import Doorway, open_channel, open_doorway
 from service.pipeline.door import Door, ItemResult
 from service.pipeline.fold_state import Tracker
 from service.pipeline.folding import Folding
 from service.pipeline.health import HostHealth, StorageHealth, sensor_health, show, storage_health
+from service.pipeline.keeping import Keeping
 from service.pipeline.live import LiveEntry, LiveView
 from service.pipeline.nursery import Nursery
 from service.pipeline.order import flush
@@ -29,7 +30,6 @@ from service.pipeline.tracker_thread import Readers, TrackerThread
 from service.settings import Settings
 from service.storage.database import connection as reading
 from service.storage.sites import Sensor, list_sensors
-from service.storage.upkeep import Retention, keep_up
 from service.telemetry import Telemetry
 from service.tracking import tracker as default_tracker
 from service.tracking.model import Frame
@@ -73,8 +73,7 @@ class EmbeddedHost:
         self._frame_log: SqliteLog | None = None
         self._door: Door | None = None
         self._trackers: TrackerThread[Any] | TrackerProcesses | None = None
-        self._upkeep: threading.Thread | None = None
-        self._stopped = threading.Event()
+        self._keeping = Keeping(database, settings, clock_us)
         self.ready = False
 
     # ------------------------------------------------------------- life
@@ -98,8 +97,7 @@ class EmbeddedHost:
         for sensor_id in self._frame_log.sensors() - self._doorways.keys():
             self._frame_log.release(sensor_id, self._frame_log.last_position(sensor_id))
         self._trackers.start()
-        self._upkeep = threading.Thread(target=self._keep_up, name="wayside-upkeep", daemon=True)
-        self._upkeep.start()
+        self._keeping.start()
         self.ready = True
 
     def _make_trackers(self, frame_log: SqliteLog) -> TrackerThread[Any] | TrackerProcesses:
@@ -127,11 +125,9 @@ class EmbeddedHost:
     def stop(self) -> None:
         """Take no more frames, fold and store what is logged, and let go of the files."""
         self.ready = False
-        self._stopped.set()
         if self._trackers is not None:
             self._trackers.stop()
-        if self._upkeep is not None:
-            self._upkeep.join()
+        self._keeping.stop()
         if self._frame_log is not None:
             self._frame_log.close()
 
@@ -145,23 +141,6 @@ class EmbeddedHost:
                 cursor = page.next_cursor
                 if cursor is None:
                     return found
-
-    def _keep_up(self) -> None:
-        """Let go of expired rows, now and each hour."""
-        retention = Retention(
-            self._settings.states_days,
-            self._settings.tracks_days,
-            self._settings.events_days,
-            self._settings.counts_days,
-        )
-        while True:
-            try:
-                expired = keep_up(self._database, retention, now_us=self._clock_us())
-                _log.debug("upkeep done", state_blocks=expired.state_blocks, tracks=expired.tracks)
-            except WaysideError as error:
-                _log.warning("upkeep put off", reason=str(error))
-            if self._stopped.wait(self._settings.upkeep_interval_s):
-                return
 
     # ------------------------------------------------------------- sensors
 
@@ -256,7 +235,12 @@ class EmbeddedHost:
         storage, sensors = StorageHealth(), []
         if frame_log is not None and trackers is not None:
             storage = storage_health(
-                frame_log, self._settings.log_dir, self._database, now_us, trackers.damaged_records
+                frame_log,
+                self._settings.log_dir,
+                self._database,
+                now_us,
+                damaged_records=trackers.damaged_records,
+                oldest_us=self._keeping.oldest_us,
             )
             for doorway in self._doorways.values():
                 standing = trackers.standing(doorway.sensor_id)

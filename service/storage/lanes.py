@@ -24,12 +24,19 @@ _BY_TIME: Final = (
 _BY_VERSION: Final = (lane_maps.c.epoch, lane_maps.c.version)
 
 
-def save_lane_maps(connection: Connection, rows: Sequence[LaneMapRow]) -> None:
+def save_lane_maps(connection: Connection, rows: Sequence[LaneMapRow], *, now_us: int) -> None:
     """Write lane maps; one that is stored already stays as it is."""
     if rows:
         connection.execute(
             insert_or_ignore(connection, "lane_maps"),
-            [{**_columns(row), "sensor": ordinal_of(connection, row.sensor_id)} for row in rows],
+            [
+                {
+                    **_columns(row),
+                    "sensor": ordinal_of(connection, row.sensor_id),
+                    "stored_day": now_us // _US_PER_DAY,
+                }
+                for row in rows
+            ],
         )
 
 

@@ -111,7 +111,7 @@ def save_flush(connection: Connection, shard: Shard, position: int, rows: Rows, 
     save_blocks(connection, rows.blocks, now_us=now_us)
     save_summaries(connection, rows.tracks, now_us=now_us)
     save_events(connection, rows.events, now_us=now_us)
-    save_lane_maps(connection, rows.lane_maps)
+    save_lane_maps(connection, rows.lane_maps, now_us=now_us)
     save_lane_changes(connection, rows.lane_changes, now_us=now_us)
     save_counts(connection, rows.crossings, rows.minutes, rows.cells, now_us=now_us)
     return Shard(shard.sensor_id, shard.epoch, shard.epoch_first_position, cursor, shard.snapshot)

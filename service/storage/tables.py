@@ -250,7 +250,7 @@ manual_counts = Table(
     PrimaryKeyConstraint("sensor", "start_us", "interval_s", "line_id", "lane", "direction", "length_class"),
 )
 
-# The lanes of a sensor from a moment on. Kept for good: counts and changes name the map that they used.
+# The lanes of a sensor from a moment on. One stays as long as a count or a change names it.
 lane_maps = Table(
     "lane_maps",
     metadata,
@@ -262,7 +262,9 @@ lane_maps = Table(
     Column("vehicles", Integer, nullable=False),
     Column("source", Text, nullable=False),
     Column("lanes", Text, nullable=False),  # formats.lanes.lanes_json
+    Column("stored_day", Integer, nullable=False),
     PrimaryKeyConstraint("sensor", "epoch", "version"),
+    Index("ix_lane_maps_stored_day", "stored_day"),
 )
 
 lane_changes = Table(

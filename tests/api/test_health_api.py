@@ -53,6 +53,7 @@ def test_queues_ages_and_sizes_are_metrics(service):
         line = f'wayside_{name}{{sensor_id="radar-1"}} ' if label else f"wayside_{name} "
         assert line in text
     assert 'wayside_frames_total{fate="tracked",sensor_id="radar-1"} 140.0' in text
+    assert 'wayside_rows_oldest_age_seconds{kind="track_states"} ' in text
 
 
 def test_the_health_tells_what_is_stored_and_since_when(service):

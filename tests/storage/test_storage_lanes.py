@@ -24,8 +24,8 @@ CHANGE = LaneChangeRow(TrackKey("radar-1", 1, 7), NOW_US, NOW_US + 900_000, 1, 2
 def test_maps_are_written_once_and_the_newest_is_in_force(engine, sensor):
     maps = [MAP, replace(MAP, version=2), replace(MAP, epoch=2)]
     with session_scope(engine) as connection:
-        save_lane_maps(connection, maps)
-        save_lane_maps(connection, [replace(MAP, lanes="[1]")])
+        save_lane_maps(connection, maps, now_us=NOW_US)
+        save_lane_maps(connection, [replace(MAP, lanes="[1]")], now_us=NOW_US)
 
         assert newest_lane_map(connection, sensor) == maps[2]
         assert read_lane_map(connection, sensor, 1, 1) == MAP
