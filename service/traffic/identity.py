@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +14,14 @@ from service.traffic.learning import Learned
 from service.traffic.model import MOST_LANES, Direction, Lane
 from service.traffic.steps import CALL_WORK, Steps
 
-_FAR_M = 1e3  # cost of lanes that are not the same
-
 
 @dataclass(frozen=True, slots=True)
 class IdentityParameters:
     """When two lanes are the same, and when two maps differ."""
 
-    offset_m: float = 1.4  # mean distance of the same lane in two maps
-    overlap: float = 0.4  # of the shorter of the two
+    offset_m: float = 1.4  # between the centre lines of one lane in two maps
+    overlap: float = 0.7  # of the shorter of the two, along which they lie so near and go the same way
+    confidence: float = 0.6  # of a lane that is new; one that the map has stays down to learning.confidence
     same_way: float = 0.8  # cosine between their directions
     shift_m: float = 0.25  # a lane that moved more makes a new map
     longer_m: float = 10.0  # ... or became so much longer or shorter
@@ -42,39 +41,47 @@ class MapDifference:
         return bool(self.added or self.removed or self.moved or self.resized)
 
 
-def named(found: Sequence[Learned], before: Sequence[Lane], p: IdentityParameters) -> Steps[tuple[Lane, ...]]:
-    """Return the lanes with the numbers of the same lanes before, and new numbers for new ones."""
-    rows_of_cost = []
-    for new in found:
-        rows_of_cost.append([_apart(new.points_m, old.points_m, p) for old in before])
-        yield len(before) * CALL_WORK
-    cost = np.array(rows_of_cost)
-    known: dict[int, int] = {}
-    if cost.size:
-        rows, columns = linear_sum_assignment(cost)
-        known = {
-            int(row): before[column].index
-            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
-            if cost[row, column] < p.offset_m
-        }
-    fresh = _fresh_numbers({lane.index for lane in before})
-    lanes = []
-    for k, lane in enumerate(found):
-        index = known.get(k) or next(fresh, 0)
-        if index:
-            lanes.append(
-                Lane(
-                    index=index,
-                    lane_id=f"L{index}",
-                    kind="turn" if lane.turn else "lane",
-                    direction=direction_of(lane.points_m, p),
-                    points_m=lane.points_m,
-                    width_m=lane.width_m,
-                    confidence=lane.confidence,
-                    vehicles=lane.paths,
-                )
-            )
+def named(
+    found: Sequence[Learned], before: Sequence[Lane], gone: Sequence[Lane], p: IdentityParameters
+) -> Steps[tuple[Lane, ...]]:
+    """Return the lanes with the numbers of the same lanes before, and numbers never used for new ones.
+
+    before: of the map in force. gone: that maps before had, those that left first first; one that comes back
+    takes its number again. Of the parts of a lane that was cut the one that shares most with it keeps it.
+    """
+    numbers = yield from _known(found, before, p)
+    sure = [k for k, lane in enumerate(found) if k not in numbers and lane.confidence >= p.confidence]
+    back = yield from _known([found[k] for k in sure], gone, p)
+    numbers |= {sure[k]: index for k, index in back.items()}
+    highest = max((lane.index for lane in (*before, *gone)), default=0)
+    fresh = list(range(highest + 1, MOST_LANES + 1))
+    # at the end of the byte: numbers that were never used after all, then those that left first
+    taken = {lane.index for lane in before} | set(numbers.values())
+    left = [lane.index for lane in gone if lane.index not in taken]
+    fresh += [k for k in range(1, highest) if k not in taken and k not in left] + left
+    numbers |= dict(zip((k for k in sure if k not in numbers), fresh, strict=False))
+    lanes = [
+        Lane(
+            index=index,
+            lane_id=f"L{index}",
+            kind="turn" if found[k].turn else "lane",
+            direction=direction_of(found[k].points_m, p),
+            points_m=found[k].points_m,
+            width_m=found[k].width_m,
+            confidence=found[k].confidence,
+            vehicles=found[k].paths,
+        )
+        for k, index in numbers.items()
+    ]
     return tuple(sorted(lanes, key=lambda lane: lane.index))
+
+
+def gone_with(gone: Sequence[Lane], before: Sequence[Lane], now: Sequence[Lane]) -> tuple[Lane, ...]:
+    """Return the lanes whose numbers were used and are not in force now, those that left first first."""
+    here = {lane.index for lane in now}
+    last = {lane.index for lane in before}
+    still = [lane for lane in gone if lane.index not in here and lane.index not in last]
+    return (*still, *(lane for lane in before if lane.index not in here))
 
 
 def direction_of(points_m: F64, p: IdentityParameters) -> Direction:
@@ -106,19 +113,24 @@ def difference(before: Sequence[Lane], after: Sequence[Lane], p: IdentityParamet
     )
 
 
-def _fresh_numbers(taken: set[int]) -> Iterator[int]:
-    """Yield numbers above all that are taken, then, at the end of the byte, those that are free below."""
-    highest = max(taken, default=0)
-    yield from range(highest + 1, MOST_LANES + 1)
-    yield from (k for k in range(1, highest) if k not in taken)
+def _known(found: Sequence[Learned], lanes: Sequence[Lane], p: IdentityParameters) -> Steps[dict[int, int]]:
+    """Return for those found that are one of the lanes its number: the pairs that share most in all."""
+    rows = []
+    for new in found:
+        rows.append([_shared_m(new.points_m, lane.points_m, p) for lane in lanes])
+        yield len(lanes) * CALL_WORK
+    shared = np.array(rows)
+    if not shared.size:
+        return {}
+    one, other = (index.tolist() for index in linear_sum_assignment(shared, maximize=True))
+    return {k: lanes[j].index for k, j in zip(one, other, strict=True) if shared[k, j] > 0}
 
 
-def _apart(new: F64, old: F64, p: IdentityParameters) -> float:
-    """Return the mean distance of two lanes where they lie beside one another in the same direction."""
+def _shared_m(new: F64, old: F64, p: IdentityParameters) -> float:
+    """Return along how many metres two lanes are one, 0 where that is not most of the shorter."""
     place = beside(new, old)
     same = np.cos(headings(new) - place.heading_rad) > p.same_way
-    both = ~place.beyond & same
-    length = both.mean() * float(along(new)[-1])
-    if length < p.overlap * min(float(along(new)[-1]), float(along(old)[-1])):
-        return _FAR_M
-    return float(np.abs(place.right_m[both]).mean())
+    one = ~place.beyond & same & (np.abs(place.right_m) < p.offset_m)
+    length = float(along(new)[-1])
+    shared = float(one.mean()) * length
+    return shared if shared >= p.overlap * min(length, float(along(old)[-1])) else 0.0

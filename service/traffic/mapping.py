@@ -17,7 +17,7 @@ import numpy as np
 from service.traffic.curves import beside
 from service.traffic.drift import Drift, DriftParameters, judge, no_drift
 from service.traffic.evidence import Evidence, EvidenceParameters, add, latest, no_evidence
-from service.traffic.identity import IdentityParameters, difference, named
+from service.traffic.identity import IdentityParameters, difference, gone_with, named
 from service.traffic.learning import LearningParameters, learn
 from service.traffic.model import NO_MAP, Lane, LaneChange, LaneDrift, LaneMap, Moment, Trajectory
 from service.traffic.steps import Progress, Steps
@@ -38,7 +38,6 @@ class MappingParameters:
     cover_first: float = 0.85  # of the evidence that must lie in the lanes of a first map ...
     cover_last: float = 0.3  # ... falling to this when there are `young_paths`
     near_m: float = 1.5  # of a lane's middle
-    confidence: float = 0.6  # of a lane that is new; one that the map has stays down to learning.confidence
 
 
 class Learning(Protocol):
@@ -65,6 +64,7 @@ class Mapping:
     """The map in force, and what the next one will be learned from."""
 
     map: LaneMap
+    gone: tuple[Lane, ...]  # whose numbers were used before and are not given to others
     evidence: Evidence
     backlog: tuple[Trajectory, ...]
     told: tuple[LaneChange, ...]  # changes of lanes, while the map is young
@@ -83,6 +83,7 @@ class Study:
 
     evidence: Evidence
     before: tuple[Lane, ...]  # of the map in force
+    gone: tuple[Lane, ...]
     digest: str  # of the parameters
     begun: int  # frames
     due: int  # frames
@@ -103,12 +104,12 @@ _UNDER_WAY: WeakKeyDictionary[Study, Progress[tuple[Lane, ...]]] = WeakKeyDictio
 
 def no_mapping() -> Mapping:
     """Return the state before the first frame."""
-    return Mapping(NO_MAP, no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, None)
+    return Mapping(NO_MAP, (), no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, None)
 
 
 def begun_anew(mapping: Mapping) -> Mapping:
     """Return the state at the start of a new epoch: the same lanes come into force with its first frame."""
-    fresh = replace(no_mapping(), evidence=mapping.evidence, drift=mapping.drift)
+    fresh = replace(no_mapping(), gone=mapping.gone, evidence=mapping.evidence, drift=mapping.drift)
     if mapping.map.lanes:
         return replace(fresh, coming=mapping.map.lanes, learned_paths=mapping.learned_paths)
     return replace(fresh, coming=mapping.coming)
@@ -121,7 +122,10 @@ def begin(mapping: Mapping, moment: Moment, given: Given, p: Learning, digest: s
     """
     mapping = replace(mapping, frames=mapping.frames + 1)
     if given.key != mapping.given_key:
-        mapping = replace(mapping, given_key=given.key, coming=None, study=None, slot=-1, learned_paths=0)
+        gone = gone_with(mapping.gone, mapping.coming or (), ())
+        mapping = replace(
+            mapping, given_key=given.key, gone=gone, coming=None, study=None, slot=-1, learned_paths=0
+        )
         if given.lanes is not None:
             return _in_force(mapping, moment, given.lanes, "user")
     if mapping.coming is not None:
@@ -135,7 +139,9 @@ def begin(mapping: Mapping, moment: Moment, given: Given, p: Learning, digest: s
 
 def _study(mapping: Mapping, study: Study, moment: Moment, p: Learning) -> Mapping:
     """Return the state after a few more steps, and with the map that has been learned when it is due."""
-    progress = _UNDER_WAY.pop(study, None) or Progress(lanes_in_steps(study.evidence, study.before, p))
+    progress = _UNDER_WAY.pop(study, None) or Progress(
+        lanes_in_steps(study.evidence, study.before, study.gone, p)
+    )
     if mapping.frames < study.due:
         progress.go_on((mapping.frames - study.begun) * p.mapping.work_a_frame)
         _UNDER_WAY[study] = progress
@@ -160,7 +166,8 @@ def _in_force(mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source:
         lanes=lanes,
     )
     drift = mapping.drift if source == "learned" else no_drift()
-    return replace(mapping, map=new, coming=None, drift=drift)
+    gone = gone_with(mapping.gone, mapping.map.lanes, lanes)
+    return replace(mapping, map=new, gone=gone, coming=None, drift=drift)
 
 
 def gather(
@@ -213,13 +220,14 @@ def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters,
     slot = (moment.time_us + zlib.crc32(sensor_id.encode()) % period_us) // period_us
     if slot == mapping.slot:
         return mapping
-    due = mapping.slot >= 0
+    first = mapping.slot < 0
     mapping = replace(mapping, slot=slot)
-    if not due or mapping.given_key or mapping.study is not None:
+    if first or mapping.given_key or mapping.study is not None:
         return mapping
     if len(mapping.evidence.paths) < p.paths_min or come == mapping.learned_paths:
         return mapping
-    study = Study(mapping.evidence, mapping.map.lanes, digest, mapping.frames, mapping.frames + p.ready_after)
+    due = mapping.frames + p.ready_after
+    study = Study(mapping.evidence, mapping.map.lanes, mapping.gone, digest, mapping.frames, due)
     return replace(mapping, learned_paths=come, study=study)
 
 
@@ -239,22 +247,9 @@ def _wanted_cover(evidence: Evidence, p: MappingParameters) -> float:
     return p.cover_first + old * (p.cover_last - p.cover_first)
 
 
-def lanes_in_steps(evidence: Evidence, before: tuple[Lane, ...], p: Learning) -> Steps[tuple[Lane, ...]]:
-    """Return the lanes that the evidence tells of, with the numbers that they have in the map before."""
-    known = {lane.index for lane in before}
+def lanes_in_steps(
+    evidence: Evidence, before: tuple[Lane, ...], gone: tuple[Lane, ...], p: Learning
+) -> Steps[tuple[Lane, ...]]:
+    """Return the lanes that the evidence tells of, with the numbers that they have in the maps before."""
     learned = yield from learn(evidence, p.learning)
-    found = yield from named(learned, before, p.identity)
-    kept = [lane for lane in found if lane.index in known or lane.confidence >= p.mapping.confidence]
-    return _numbered_again(kept, known)
-
-
-def _numbered_again(lanes: list[Lane], known: set[int]) -> tuple[Lane, ...]:
-    """Return the lanes; new ones are numbered without the gaps that those left which were not sure enough."""
-    highest = max(known, default=0)
-    fresh = (k for k in range(highest + 1, highest + 1 + len(lanes)))
-    return tuple(
-        lane
-        if lane.index in known or lane.index <= highest
-        else replace(lane, index=(k := next(fresh)), lane_id=f"L{k}")
-        for lane in lanes
-    )
+    return (yield from named(learned, before, gone, p.identity))

@@ -97,7 +97,7 @@ def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
     p, mapping = setup.parameters, state.mapping
     if mapping.given_key or len(mapping.evidence.paths) < p.mapping.paths_min:
         return mapping.map
-    lanes = at_once(lane_mapping.lanes_in_steps(mapping.evidence, mapping.map.lanes, p))
+    lanes = at_once(lane_mapping.lanes_in_steps(mapping.evidence, mapping.map.lanes, mapping.gone, p))
     return replace(mapping.map, vehicles=len(mapping.evidence.paths), lanes=lanes)
 
 

@@ -101,7 +101,7 @@ def test_a_map_comes_into_force_a_fixed_number_of_frames_after_the_state_it_was_
     assert {k - 40 for k in told} <= set(begun.values())
     for k in told:
         before, known = states[k - 40].mapping, states[k].map.lanes
-        lanes = at_once(lanes_in_steps(before.evidence, before.map.lanes, SETUP.parameters))
+        lanes = at_once(lanes_in_steps(before.evidence, before.map.lanes, before.gone, SETUP.parameters))
         assert [lane.points_m.tobytes() for lane in lanes] == [lane.points_m.tobytes() for lane in known]
 
 
@@ -118,7 +118,7 @@ def test_learning_is_spread_over_the_frames_before_the_map_comes(minute):
     first = maps(outputs)[0][0]
     study = states_of(frames[: first - 30])[-1].mapping.study
 
-    steps = lanes_in_steps(study.evidence, study.before, SETUP.parameters)
+    steps = lanes_in_steps(study.evidence, study.before, study.gone, SETUP.parameters)
     progress = Progress(steps)
     progress.go_on(1)
     work = [progress.work]
