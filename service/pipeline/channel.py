@@ -77,6 +77,12 @@ class Standing:
     unstored_frames: int = 0  # folded, and not stored yet
     failure: str | None = None  # why frames are not tracked any more
 
+    def failed(self, failure: str) -> Standing:
+        """Return where the sensor stands once it is not tracked any more."""
+        return Standing(
+            self.sensor_id, self.epoch, self.folded_position, self.stored_position, failure=failure
+        )
+
 
 @dataclass(slots=True)
 class Channel(Generic[S]):
@@ -101,6 +107,7 @@ class Channel(Generic[S]):
     stored_us: int | None = None
     failure: str | None = None
     leaving: bool = False
+    number: int = 0  # by which a tracker process names it in its place
 
     def take_rows(self) -> Rows:
         """Return what was collected since the last flush, each track's newest summary only."""

@@ -75,6 +75,9 @@ def step(
             order, admission = flush(state.order)
         case DamagedRecord():
             order, admission = state.order, Admission(Fate.DAMAGED)
+            if record.fatal:
+                order, _ = flush(state.order)
+                admission = Admission(Fate.DAMAGED, dropped=len(state.order.held))
     state = replace(state, position=position, order=order)
     for released in admission.released:
         state = _fold_frame(state, released, out, tracker)

@@ -25,7 +25,8 @@ from service.pipeline.fold import TICK_US, step
 from service.pipeline.fold_state import Folded, FoldOutput, S, Tracker
 from service.pipeline.live import LiveEntry
 from service.pipeline.log import FrameLog
-from service.pipeline.records import FrameRecord, Record, TickRecord
+from service.pipeline.place import Place, nowhere
+from service.pipeline.records import DamagedRecord, FrameRecord, Record, TickRecord
 from service.telemetry import Telemetry
 from service.tracking.model import TrackStatus
 
@@ -75,6 +76,7 @@ class Folding(Generic[S]):
         *,
         pace: Pace,
         clock_us: Callable[[], int],
+        place: Place | None = None,
     ) -> None:
         self._database = database
         self._frame_log = log
@@ -83,6 +85,7 @@ class Folding(Generic[S]):
         self._telemetry = telemetry
         self._pace = pace
         self._clock_us = clock_us
+        self._place = place or nowhere()
         self.channels: dict[str, Channel[S]] = {}  # replaced, never changed
         self._guard = threading.Lock()  # over replacing them
         self._flushed_s = time.monotonic()
@@ -119,6 +122,7 @@ class Folding(Generic[S]):
         except Exception as error:  # noqa: BLE001 - the edge of one sensor: the others go on
             _log.exception("sensor failed", sensor_id=channel.sensor_id, position=channel.state.position + 1)
             self._fail(channel, f"record {channel.state.position + 1}: {type(error).__name__}: {error}")
+            self._place.end()
             return False
         return bool(records)
 
@@ -128,7 +132,9 @@ class Folding(Generic[S]):
 
     def _fold(self, channel: Channel[S], position: int, record: Record) -> None:
         started_s = time.perf_counter()
+        self._place.begin(channel.number, position)
         channel.state, output = step(channel.state, position, record, self._tracker)
+        self._place.end()
         self._telemetry.fold.observe(time.perf_counter() - started_s)
         now_us = self._clock_us()
         if output.rows:
@@ -146,6 +152,8 @@ class Folding(Generic[S]):
             channel.newest_frame = frames[-1]
             channel.frames_since_snapshot += len(frames)
             channel.unstored_received_us += [channel.received_us or now_us] * len(frames)
+        if isinstance(record, DamagedRecord) and record.fatal:
+            channel.frames_since_snapshot = self._pace.snapshot_frames  # so that it is never met again
         self._count(channel, record, output, now_us)
         entry = LiveEntry(
             channel.sensor_id,

@@ -38,9 +38,14 @@ class TickRecord:
 
 @dataclass(frozen=True, slots=True)
 class DamagedRecord:
-    """A record whose bytes cannot be read any more; never written."""
+    """A record whose bytes cannot be read any more, or one that must not be folded; never written.
+
+    fatal: the tracker's process died over it again and again. That may be the fault of a frame which was held
+    back until then, so those are left out as well.
+    """
 
     reason: str
+    fatal: bool = False
 
 
 Record = FrameRecord | ControlRecord | TickRecord | DamagedRecord

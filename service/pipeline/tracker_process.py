@@ -31,6 +31,7 @@ from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import encode_entry
 from service.pipeline.log_reader import LogReader
 from service.pipeline.nursery import Work, end_with
+from service.pipeline.place import DEATHS, Place, open_place
 from service.pipeline.records import DamagedRecord, Record, TickRecord
 from service.settings import Settings
 from service.storage.database import open_database
@@ -44,7 +45,7 @@ _log = structlog.get_logger(__name__)
 
 
 def work_of(settings: Settings, tracker: Tracker[Any], clock_us: Callable[[], int]) -> Work:
-    """Return the work of a tracker process for a nursery; its files are the socket and a lifeline."""
+    """Return the work of a tracker process for a nursery; its files are socket, lifeline and place."""
     return partial(_work, settings, tracker, clock_us)
 
 
@@ -60,11 +61,12 @@ def _work(
     descriptors: list[int],
     _: dict[str, object],
 ) -> None:
-    connection, lifeline = descriptors
+    connection, lifeline, memory = descriptors
     end_with(lifeline)
     mark = _mark(settings.log_dir)
     fcntl.flock(mark, fcntl.LOCK_SH)  # until the process ends
-    TrackerProcess(settings, tracker, clock_us, Line(socket.socket(fileno=connection))).run()
+    line = Line(socket.socket(fileno=connection))
+    TrackerProcess(settings, tracker, clock_us, line, open_place(memory)).run()
 
 
 def wait_for_orphans(folder: Path) -> None:
@@ -104,6 +106,7 @@ class RemoteLog:
         self._first: dict[str, int] = {}
         self._last: dict[str, int] = {}
         self._ticks: dict[str, Future[list[int]]] = {}
+        self._set_aside: dict[str, frozenset[int]] = {}
         self.damaged_records = 0
 
     def learn(self, sensor_id: str, last: int, first: int | None = None) -> None:
@@ -114,6 +117,10 @@ class RemoteLog:
         tick = self._ticks.pop(sensor_id, None)
         if tick is not None:
             tick.set_result([last])
+
+    def set_aside(self, sensor_id: str, positions: Sequence[int]) -> None:
+        """Take in which records of a sensor are not to be folded: this process died over them before."""
+        self._set_aside[sensor_id] = frozenset(positions)
 
     def refuse(self, sensor_id: str) -> None:
         """Take in that a tick was not logged."""
@@ -126,6 +133,11 @@ class RemoteLog:
         found: list[tuple[int, Record]] = []
         limit = min(limit, self.last_position(sensor_id) - after)  # a further file is not looked for in vain
         for position, body in self._reader.read(sensor_id, after, limit):
+            if position in self._set_aside.get(sensor_id, ()):
+                self.damaged_records += 1
+                reason = f"the tracker's process ended or hung {DEATHS} times over this record"
+                found.append((position, DamagedRecord(reason, fatal=True)))
+                continue
             try:
                 found.append((position, decode_record(body)))
             except StorageError as error:
@@ -200,9 +212,15 @@ class TrackerProcess:
     """The life of a tracker process."""
 
     def __init__(
-        self, settings: Settings, tracker: Tracker[Any], clock_us: Callable[[], int], line: Line
+        self,
+        settings: Settings,
+        tracker: Tracker[Any],
+        clock_us: Callable[[], int],
+        line: Line,
+        place: Place,
     ) -> None:
         self._line = line
+        self._place = place
         self._tracker = tracker
         self._clock_us = clock_us
         self._database = open_database(settings.rows_url)
@@ -218,6 +236,7 @@ class TrackerProcess:
             self._telemetry,
             pace=pace_of(settings),
             clock_us=clock_us,
+            place=place,
         )
         self._failures: dict[str, str] = {}  # of sensors that could not be taken in
         self._stopping = False
@@ -274,8 +293,10 @@ class TrackerProcess:
                 case _:
                     _log.error("strange message", kind=kind)
 
-    def _take_in(self, config: str, first: int, last: int) -> None:
+    def _take_in(self, config: str, first: int, last: int, number: int, set_aside: list[int]) -> None:
         chosen = SensorConfig.model_validate_json(config)
+        self._place.end()
+        self._frame_log.set_aside(chosen.sensor_id, set_aside)
         self._frame_log.learn(chosen.sensor_id, last, first)
         try:
             channel = open_channel(
@@ -291,6 +312,7 @@ class TrackerProcess:
             self._failures[chosen.sensor_id] = str(error)
             self._telemetry.failed.labels(chosen.sensor_id).set(1)
         else:
+            channel.number = number
             self._folding.add(channel)
 
     def _report(self) -> None:

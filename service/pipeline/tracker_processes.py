@@ -2,11 +2,14 @@
 
 Each process has sensors of its own, as long as the service runs. One that ends by itself is started again
 with the same sensors; it goes on from the snapshots in the database, as after a restart of the whole service.
+One that hangs is killed. A record over which that happens again and again is set aside.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
+import signal
 import socket
 import threading
 import time
@@ -25,6 +28,7 @@ from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import decode_entry
 from service.pipeline.log import FrameLog
 from service.pipeline.nursery import Nursery
+from service.pipeline.place import Blame, Place, Stall, open_place, shared_memory
 from service.pipeline.records import TickRecord
 from service.pipeline.tracker_process import WORK
 from service.telemetry import Samples, Telemetry, added
@@ -32,6 +36,7 @@ from service.telemetry import Samples, Telemetry, added
 LISTEN_S = 0.2  # longest wait before what is left to send is tried again
 CALM_S = 30.0  # a process that lived as long is started again at once, others after a growing pause
 PAUSE_S, PAUSE_MOST_S = 0.1, 10.0
+HUNG_S = 60.0  # without a sign of life: longer than any wait for the database, or a flush
 STOP_S = 120.0  # for a process to fold and store what is logged
 
 _log = structlog.get_logger(__name__)
@@ -59,7 +64,9 @@ class _Member:
 
     config: SensorConfig  # for an epoch that begins without a state
     standing: Standing
+    number: int  # by which its process names it
     leaving: bool = False
+    blame: Blame = field(default_factory=Blame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +84,8 @@ class _Process:
     """One tracker process and all that outlives it."""
 
     index: int
+    memory: int | None  # descriptor of what it shares with us, None after the end
+    place: Place
     members: dict[str, _Member] = field(default_factory=dict)
     guard: threading.RLock = field(default_factory=threading.RLock)  # over members, line, unsent news
     line: Line | None = None
@@ -102,7 +111,11 @@ class TrackerProcesses:
         self._frame_log = log
         self._owner = owner
         self._telemetry = telemetry
-        self._processes = [_Process(index) for index in range(count)]
+        memories = [shared_memory() for _ in range(count)]
+        self._processes = [
+            _Process(index, memory, open_place(memory)) for index, memory in enumerate(memories)
+        ]
+        self._numbers = itertools.count(1)
         self._of: dict[str, _Process] = {}  # replaced, never changed
         self._adding = threading.Lock()
         self._stopping = threading.Event()
@@ -134,6 +147,9 @@ class TrackerProcesses:
                 _log.warning("a tracker process did not end in order", process=process.index)
             with process.guard:
                 _let_go(process)
+                if process.memory is not None:
+                    os.close(process.memory)
+                process.memory = None
 
     def add(self, channel: Channel[Any], config: SensorConfig) -> None:
         """Give a sensor to the process that has the fewest; its state is found again there."""
@@ -141,7 +157,9 @@ class TrackerProcesses:
             process = min(self._processes, key=lambda one: (len(one.members), one.index))
             self._of = {**self._of, channel.sensor_id: process}
         with process.guard:
-            member = process.members[channel.sensor_id] = _Member(config, channel.standing())
+            member = process.members[channel.sensor_id] = _Member(
+                config, channel.standing(), next(self._numbers)
+            )
             self._send_member(process, member)
 
     def leave(self, sensor_id: str) -> None:
@@ -203,10 +221,13 @@ class TrackerProcesses:
 
     def _begin(self, process: _Process) -> None:
         """Start the process and tell it of its sensors; raises StorageError when none can be started."""
+        if process.memory is None:
+            raise StorageError("the tracker processes were stopped")
+        process.place.end()
         ours, theirs = socket.socketpair()
         reading, writing = os.pipe()
         try:
-            pid = self._nursery.start(WORK, [theirs.fileno(), reading], {})
+            pid = self._nursery.start(WORK, [theirs.fileno(), reading, process.memory], {})
         except StorageError:
             ours.close()
             os.close(writing)
@@ -226,8 +247,15 @@ class TrackerProcesses:
             return
         sensor_id = member.config.sensor_id
         ends = self._frame_log.first_position(sensor_id), self._frame_log.last_position(sensor_id)
-        known = {"config": member.config.canonical_json(), "first": ends[0], "last": ends[1]}
-        process.line.send(Kind.ADD, orjson.dumps(known))
+        known = {
+            "config": member.config.canonical_json(),
+            "first": ends[0],
+            "last": ends[1],
+            "number": member.number,
+            "set_aside": member.blame.set_aside,
+        }
+        if not member.blame.hopeless:
+            process.line.send(Kind.ADD, orjson.dumps(known))
         if member.leaving:
             process.line.send(Kind.LEAVE, sensor_id.encode())
 
@@ -253,10 +281,25 @@ class TrackerProcesses:
                 _let_go(process)
             if process.done:
                 return
+            self._blame(process)
             pause_s = PAUSE_S if time.monotonic() - begun_s > CALM_S else min(2 * pause_s, PAUSE_MOST_S)
             _log.error("a tracker process ended", process=process.index, pid=process.pid, again_s=pause_s)
             if self._stopping.wait(pause_s) or not self._begin_again(process):
                 return
+
+    def _blame(self, process: _Process) -> None:
+        """Count the death against the record that was being folded, if there was one."""
+        number, position, _ = process.place.read()
+        with process.guard:
+            member = next((one for one in process.members.values() if one.number == number), None)
+            if member is None or not member.blame.died_at(position):
+                return
+            sensor_id = member.config.sensor_id
+            _log.error("record set aside", sensor_id=sensor_id, position=position)
+            if member.blame.hopeless:
+                failure = f"the tracker's process ends at every record, last at {position}"
+                member.standing = member.standing.failed(failure)
+                self._telemetry.failed.labels(sensor_id).set(1)
 
     def _begin_again(self, process: _Process) -> bool:
         process.before, process.counted = added(process.before, process.counted), []
@@ -273,13 +316,26 @@ class TrackerProcesses:
     def _listen(self, process: _Process) -> None:
         line = process.line
         assert line is not None  # noqa: S101 - it was just begun
+        stall = Stall(process.place, HUNG_S, time.monotonic())
         while True:
             line.wait(LISTEN_S)
+            heard = False
             for kind, body in line.receive():
+                heard = True
                 self._hear(process, kind, body)
+            if stall.over(time.monotonic(), heard=heard) and not self._stopping.is_set():
+                self._kill(process)
             line.push()
             with process.guard:
                 self._send_news(process)
+
+    @staticmethod
+    def _kill(process: _Process) -> None:
+        """End a process that hangs; the line, still open, says that the number is still its own."""
+        _log.error("a tracker process hangs", process=process.index, pid=process.pid)
+        if process.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(process.pid, signal.SIGKILL)
 
     def _hear(self, process: _Process, kind: Kind, body: bytes) -> None:
         match kind:
@@ -312,7 +368,7 @@ class TrackerProcesses:
             for sensor_id, failure in report["failures"].items():
                 member = process.members.get(sensor_id)
                 if member is not None:
-                    member.standing = _failed(member.standing, failure)
+                    member.standing = member.standing.failed(failure)
 
     def _append_tick(self, process: _Process, sensor_id: str, time_us: int) -> None:
         try:
@@ -328,16 +384,6 @@ class TrackerProcesses:
         with self._adding:
             self._of = {name: one for name, one in self._of.items() if name != sensor_id}
         self._owner.gone(sensor_id)
-
-
-def _failed(standing: Standing, failure: str) -> Standing:
-    return Standing(
-        standing.sensor_id,
-        standing.epoch,
-        standing.folded_position,
-        standing.stored_position,
-        failure=failure,
-    )
 
 
 def _let_go(process: _Process) -> None:

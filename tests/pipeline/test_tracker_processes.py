@@ -17,7 +17,7 @@ import structlog
 from sqlalchemy import Engine
 
 from service.errors import StorageError
-from service.pipeline import tracker_process
+from service.pipeline import tracker_process, tracker_processes
 from service.pipeline.host import EmbeddedHost
 from service.pipeline.nursery import Nursery
 from service.settings import Settings
@@ -47,6 +47,12 @@ def _short_log_lines() -> Iterator[None]:
     set_up_logging("warning", "json")
     yield
     structlog.reset_defaults()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kernels_are_loaded() -> None:
+    """Load the kernels before a nursery is forked, as the service does: else each process would by itself."""
+    fold_records(records(recording(60)))
 
 
 @pytest.fixture
@@ -311,6 +317,127 @@ def test_one_failing_sensor_does_not_stop_the_others_of_its_process(running, dat
         failures = {s.sensor_id: s.failure for s in host.health().sensors}
 
     assert failures == {"radar-1": "record 4: ZeroDivisionError: made up", "radar-2": None}
+
+
+def with_second_sensor(database: Engine) -> None:
+    with session_scope(database) as writer:
+        create_sensor(writer, CONFIG.model_copy(update={"sensor_id": "radar-2"}), now_us=START_US)
+    database.dispose()
+
+
+def of_second_sensor(frames):
+    return [dataclasses.replace(frame, sensor_id="radar-2") for frame in frames]
+
+
+def tracker_that(harm: Callable[[], object], is_poison: Callable) -> SimpleNamespace:
+    """Return a tracker that does harm at some frames."""
+
+    def step(state, frame, parameters):
+        if is_poison(frame):
+            harm()
+        return simple_tracker.step(state, frame, parameters)
+
+    return SimpleNamespace(initial_state=simple_tracker.initial_state, step=step, coast=simple_tracker.coast)
+
+
+def damage_of(database: Engine, sensor_id: str) -> list[int]:
+    with reading(database) as reader:
+        events = list_events(reader, sensor_id).items
+    database.dispose()  # nothing open when a nursery is forked
+    return [event.detail["position"] for event in events if event.kind == "record_damaged"]
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        pytest.param(lambda: os._exit(9), id="ends"),
+        pytest.param(lambda: time.sleep(60), id="hangs", marks=pytest.mark.slow),
+    ],
+)
+def test_a_record_that_ends_or_hangs_the_process_is_set_aside(running, database, monkeypatch, harm):
+    monkeypatch.setattr(tracker_processes, "HUNG_S", 3.0)
+    poison = lambda frame: frame.sensor_id == "radar-1" and frame.sequence == 20  # noqa: E731
+    with_second_sensor(database)
+    frames = recording(40)
+    with running(tracker_that(harm, poison)) as host:
+        submit(host, frames)
+        submit(host, of_second_sensor(frames), "radar-2")
+        wait_until(lambda: host.health().tracking and caught_up(host))
+        wait_until(lambda: host.live.newest("radar-1").folded.number == 40)
+        health = host.health()
+        text = host.metrics().decode()
+        last = host._frame_log.last_position("radar-1")
+        assert host._frame_log._released.get("radar-1", 0) >= 21  # the snapshot behind it is stored
+        submit(host, recording(50)[40:])
+        wait_until(lambda: caught_up(host) and host.live.newest("radar-1").folded.number == 50)
+
+    assert last == 41
+    assert health.processes[0].restarts == 3
+    assert [sensor.failure for sensor in health.sensors] == [None, None]
+    assert health.storage.log_damaged_records == 1
+    assert 'wayside_tracker_process_restarts_total{process="0"} 3.0' in text
+    assert damage_of(database, "radar-1") == [21]  # behind the configuration
+    assert damage_of(database, "radar-2") == []
+
+    with running(tracker_that(harm, poison)) as host:  # it is not met again
+        submit(host, recording(60)[50:])
+        wait_until(lambda: caught_up(host))
+        assert host.health().processes[0].restarts == 0
+    assert damage_of(database, "radar-1") == [21]
+
+
+def test_a_frame_that_was_held_back_is_set_aside_with_the_record_that_released_it(running, database):
+    frames = recording(30)
+    order = [*frames[:10], frames[11], frames[10], *frames[12:]]  # 12 waits for 11, and 12 is the poison
+    with running(tracker_that(lambda: os._exit(9), lambda frame: frame.sequence == 12)) as host:
+        submit(host, order)
+        wait_until(lambda: host.health().tracking and caught_up(host))
+        wait_until(lambda: host.live.newest("radar-1").folded.number == 30)
+        health = host.health()
+        text = host.metrics().decode()
+
+    assert health.processes[0].restarts == 3
+    assert damage_of(database, "radar-1") == [13]
+    assert 'wayside_frames_total{fate="dropped",sensor_id="radar-1"} 1.0' in text
+
+
+def test_a_sensor_whose_every_record_ends_the_process_stops_and_the_others_go_on(
+    running, database, monkeypatch
+):
+    monkeypatch.setattr(tracker_processes, "PAUSE_MOST_S", 0.05)
+    with_second_sensor(database)
+    frames = recording(30)
+    poison = lambda frame: frame.sensor_id == "radar-1" and frame.sequence >= 10  # noqa: E731
+    with running(tracker_that(lambda: os._exit(9), poison)) as host:
+        submit(host, frames)
+        submit(host, of_second_sensor(frames), "radar-2")
+        wait_until(lambda: host.health().sensors[0].failure is not None)
+        wait_until(lambda: host.health().tracking and host.live.newest("radar-2").folded.number == 30)
+        health = host.health()
+        text = host.metrics().decode()
+        host.forget("radar-1")  # the one that stopped can be let go
+        wait_until(lambda: host.live.newest("radar-1") is None)
+
+    # Behind each gap two frames are held back; they go with the third, which releases them: 11, 14, 17, 20.
+    assert health.processes[0].restarts == 12
+    assert [s.failure for s in health.sensors] == [
+        "the tracker's process ends at every record, last at 20",
+        None,
+    ]
+    assert 'wayside_sensor_failed{sensor_id="radar-1"} 1.0' in text
+
+
+@pytest.mark.slow
+def test_a_process_that_is_stopped_while_idle_is_started_again(running, monkeypatch):
+    monkeypatch.setattr(tracker_processes, "HUNG_S", 3.0)
+    with running() as host:
+        submit(host, recording(5))
+        wait_until(lambda: caught_up(host))
+        os.kill(pid_of(host), signal.SIGSTOP)
+        wait_until(lambda: host.health().processes[0].restarts == 1 and host.health().tracking)
+        submit(host, recording(10)[5:])
+        wait_until(lambda: caught_up(host) and host.live.newest("radar-1").folded.number == 10)
+        assert host.health().storage.log_damaged_records == 0
 
 
 def test_a_second_host_is_refused_and_the_first_goes_on(running):
