@@ -21,6 +21,7 @@ import numpy as np
 import orjson
 from sqlalchemy import Engine, text
 
+from service.api.flow_json import rows_json
 from service.formats.sensor import CountLine, SensorConfig
 from service.storage.counts import save_counts
 from service.storage.database import connection, open_database, session_scope
@@ -30,7 +31,7 @@ from service.storage.rows import CellRow, CrossingBlock, MinuteRow, TrackKey, Tr
 from service.storage.sites import create_sensor
 from service.storage.tracks import save_summaries
 from service.traffic.cells import CELL
-from service.traffic.flow_fields import flow_fields
+from service.traffic.flow_fields import flow_columns
 from service.traffic.records import CROSSING, MINUTE_US
 
 VEHICLES, LANES, CELLS = 40_000, 6, 7
@@ -98,14 +99,16 @@ def size_bytes(engine: Engine) -> int:
         return int(pages) * int(page)
 
 
-def read_day(engine: Engine, day: int) -> tuple[float, int]:
+def read_day(engine: Engine, day: int) -> tuple[float, float, int]:
+    """Return seconds, CPU seconds of this process, and how many rows."""
     start_us = (START_MINUTE + day * 1440) * MINUTE_US
     query = FlowQuery("radar-1", start_us, start_us + 1440 * MINUTE_US, "1min", "UTC", line_id="C40")
-    started = time.perf_counter()
+    started, begun = time.perf_counter(), time.process_time()
     with connection(engine) as reader:
-        rows = flow_fields("radar-1", read_flow(reader, query), histogram=False)
-    body = orjson.dumps(rows)
-    return time.perf_counter() - started, len(rows) if body else 0
+        flow = read_flow(reader, query)
+    body = orjson.dumps({"items": rows_json(flow_columns("radar-1", flow, histogram=False))})
+    taken = time.perf_counter() - started, time.process_time() - begun
+    return *taken, len(orjson.loads(body)["items"])
 
 
 def measure(url: str, days: int) -> dict[str, object]:
@@ -121,13 +124,14 @@ def measure(url: str, days: int) -> dict[str, object]:
     grown = size_bytes(engine) - empty
     taken = [read_day(engine, k % days) for k in range(READS)]
     engine.dispose()
-    seconds = np.array([second for second, _ in taken])
+    seconds, busy = np.array([row[:2] for row in taken]).T
     return {
         "days": days,
         "vehicles_a_day": VEHICLES,
-        "rows_of_a_day": taken[0][1],
+        "rows_of_a_day": taken[0][2],
         "read_ms_median": round(1e3 * float(np.median(seconds)), 1),
         "read_ms_p95": round(1e3 * float(np.percentile(seconds, 95)), 1),
+        "read_cpu_ms_median": round(1e3 * float(np.median(busy)), 1),
         "bytes_a_day": grown // days,
         "month_mb": round(MONTH_DAYS * grown / days / 1e6, 1),
     }

@@ -24,6 +24,7 @@ from service.api.dependencies import (
     time_range_us,
 )
 from service.api.exports import exported
+from service.api.flow_json import rows_json
 from service.api.flow_schemas import (
     CellReply,
     CellRow,
@@ -51,7 +52,7 @@ from service.storage.flow import CrossingQuery, FlowQuery
 from service.storage.flow_exports import DEFINITION_TEXT, Units, column_names, converted, csv_rows, pems_rows
 from service.storage.manual_counts import check_counts, compare, save_manual_counts
 from service.storage.sites import ordinal_of
-from service.traffic.flow_fields import crossing_fields, edie_fields, flow_fields, parse_row_name
+from service.traffic.flow_fields import crossing_fields, edie_fields, flow_columns, parse_row_name, rows_of
 
 router = APIRouter(prefix=PREFIX)
 
@@ -60,6 +61,7 @@ LAST_US = 253_402_300_800_000_000  # the year 10000
 MOST_CHECKS = 2000  # counts by hand in one request: three weeks of quarters of an hour
 _DIMENSIONS = frozenset({"lane", "direction", "length_class"})
 
+Rows = Sequence[Mapping[str, object]] | orjson.Fragment
 Responses = dict[int | str, dict[str, Any]]  # as FastAPI types it
 _EXPORTS: Responses = {
     200: {"content": {MEDIA_TYPES[name]: {} for name in ("ndjson", "csv", "parquet")}},
@@ -175,10 +177,10 @@ def read_flow(  # noqa: PLR0913, PLR0917 - one parameter of the query each
     if form == "pems":
         zone = query.time_zone or store.zone_of(reader, sensor_id)
         return _stream("csv", (line.encode() for line in pems_rows(flow, zone)))
-    rows = flow_fields(sensor_id, flow, histogram=histogram)
+    columns = flow_columns(sensor_id, flow, histogram=histogram)
     if form == "json":
-        return _table(reader, query, rows)
-    return _export(form, iter(rows), tuple(FlowRow.model_fields), units)
+        return _table(reader, query, rows_json(columns))
+    return _export(form, iter(rows_of(columns)), tuple(FlowRow.model_fields), units)
 
 
 @router.get("/sensors/{sensor_id}/flow/cells", tags=["counts"], response_model=CellReply, responses=_EXPORTS)
@@ -281,7 +283,7 @@ def _head(reader: Connection, query: FlowQuery) -> dict[str, object]:
     return {"sensor_id": query.sensor_id, "interval": query.interval, "time_zone": zone}
 
 
-def _table(reader: Connection, query: FlowQuery, rows: Sequence[Mapping[str, object]]) -> Response:
+def _table(reader: Connection, query: FlowQuery, rows: Rows) -> Response:
     body = orjson.dumps(_head(reader, query) | {"items": rows})
     return Response(body, media_type=MEDIA_TYPES["json"])
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 
+import numpy as np
+from numpy.typing import NDArray
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SECOND_US = 1_000_000
 _LEAP_SECOND = 60
@@ -48,6 +51,11 @@ def format_time(time_us: int) -> str:
     """Return the time in UTC with `Z` and milliseconds; what is below a millisecond is cut off."""
     seconds, micros = divmod(time_us, _SECOND_US)
     return f"{_to_the_second(seconds)}.{micros // 1000:03d}Z"
+
+
+def format_times(time_us: NDArray[np.int64]) -> list[str]:
+    """Return each of the times (N,) as `format_time` does."""
+    return list(np.datetime_as_string((time_us // 1000).astype("M8[ms]"), unit="ms", timezone="UTC").tolist())
 
 
 def format_time_exact(time_us: int) -> str:

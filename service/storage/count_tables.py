@@ -12,22 +12,34 @@ from service.traffic.edie import CellTable
 from service.traffic.flow import CrossingTable, Received, crossing_table
 from service.traffic.records import CROSSING
 
+CrossingRow = tuple[int, str, int, bytes]
+
 
 def crossings_of(blocks: Sequence[CrossingBlock]) -> CrossingTable:
     """Return the crossings of some blocks by time."""
-    counts = [len(block.records) // CROSSING.itemsize for block in blocks]
+    return crossings_of_rows([(block.epoch, block.line_id, block.minute, block.records) for block in blocks])
+
+
+def crossings_of_rows(rows: Sequence[CrossingRow]) -> CrossingTable:
+    """Return the crossings of epoch, line, minute and records of some blocks by time."""
+    epoch, line_id, minute, records = zip(*rows, strict=True) if rows else ((), (), (), ())
+    counts = [len(part) // CROSSING.itemsize for part in records]
     return crossing_table(
-        np.frombuffer(b"".join(block.records for block in blocks), CROSSING),
-        np.repeat(np.array([block.minute for block in blocks], np.int64), counts),
-        np.repeat(np.array([block.epoch for block in blocks], np.int64), counts),
-        np.repeat(np.array([block.line_id for block in blocks], dtype=np.str_), counts),
+        np.frombuffer(b"".join(records), CROSSING),
+        np.repeat(np.array(minute, np.int64), counts),
+        np.repeat(np.array(epoch, np.int64), counts),
+        np.repeat(np.array(line_id, dtype=np.str_), counts),
     )
 
 
 def received_of(minutes: Sequence[MinuteRow]) -> Received:
     """Return what came in each minute; of several epochs inside one minute the sum."""
-    rows = sorted((row.minute, row.frames, row.expected, row.observed_us) for row in minutes)
-    table = np.array(rows, np.int64).reshape(-1, 4)
+    return received_of_rows([(row.minute, row.frames, row.expected, row.observed_us) for row in minutes])
+
+
+def received_of_rows(rows: Sequence[tuple[int, int, int, int]]) -> Received:
+    """Return the same of minute, frames, frames expected and microseconds observed."""
+    table = np.array(sorted(rows), np.int64).reshape(-1, 4)
     minute, first = np.unique(table[:, 0], return_index=True)
     if not len(minute):
         return Received(*table.T)

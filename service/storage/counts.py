@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Row, Select, Table, select
 
-from service.storage.count_tables import cells_of, crossings_of, received_of
+from service.storage.count_tables import cells_of, crossings_of_rows, received_of_rows
 from service.storage.database import insert_or_advance
 from service.storage.rows import CellRow, CrossingBlock, MinuteRow
 from service.storage.sites import ordinal_of
@@ -52,24 +52,19 @@ def read_crossings(
 ) -> CrossingTable:
     """Return the crossings of a sensor in [start_us, end_us) by time; raises NotFound."""
     c = crossing_blocks.c
-    query = select(c.epoch, c.line_id, c.minute, c.part, c.as_of, c.records)
+    query = select(c.epoch, c.line_id, c.minute, c.records)
     if line_id is not None:
         query = query.where(c.line_id == line_id)
     rows = _rows(connection, query, crossing_blocks, sensor_id, start_us, end_us)
-    blocks = [
-        CrossingBlock(sensor_id, r.epoch, r.line_id, r.minute, r.part, r.as_of, r.records) for r in rows
-    ]
-    return crossings_of(blocks).between(start_us, end_us)
+    return crossings_of_rows([tuple(row) for row in rows]).between(start_us, end_us)
 
 
 def read_received(connection: Connection, sensor_id: str, start_us: int, end_us: int) -> Received:
     """Return the minutes of a sensor that lie in or touch [start_us, end_us); raises NotFound."""
     c = traffic_minutes.c
-    query = select(c.epoch, c.minute, c.as_of, c.frames, c.expected, c.observed_us)
+    query = select(c.minute, c.frames, c.expected, c.observed_us)
     rows = _rows(connection, query, traffic_minutes, sensor_id, start_us, end_us)
-    return received_of(
-        [MinuteRow(sensor_id, r.epoch, r.minute, r.as_of, r.frames, r.expected, r.observed_us) for r in rows]
-    )
+    return received_of_rows([tuple(row) for row in rows])
 
 
 def read_cells(connection: Connection, sensor_id: str, start_us: int, end_us: int) -> CellTable:

@@ -255,17 +255,20 @@ def _mean(cell: I64, values: F64, count: int) -> F64:
 
 def percentile(values: F64, cell: I64, count: int, share: float) -> F64:
     """Return the percentile of each cell by linear interpolation between order statistics, NaN when empty."""
-    order = np.lexsort((values, cell))
+    if not len(values):
+        return np.full(count, np.nan)
+    low, high = float(values.min()), float(values.max())
+    order = np.argsort(cell + (values - low) / (2.0 * (high - low) + 1.0))  # by cell, and by value inside it
     ranked = values[order]
     n = np.bincount(cell, minlength=count)
     first = np.cumsum(n) - n
     place = share * (n - 1)
-    low = np.floor(place).astype(np.int64)
+    below = np.floor(place).astype(np.int64)
     out = np.full(count, np.nan)
     some = n > 0
-    a = ranked[first[some] + low[some]]
-    b = ranked[first[some] + np.minimum(low[some] + 1, n[some] - 1)]
-    out[some] = a + (place[some] - low[some]) * (b - a)
+    a = ranked[first[some] + below[some]]
+    b = ranked[first[some] + np.minimum(below[some] + 1, n[some] - 1)]
+    out[some] = a + (place[some] - below[some]) * (b - a)
     return out
 
 

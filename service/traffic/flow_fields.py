@@ -6,16 +6,18 @@ import base64
 import binascii
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import NotFound
 from service.formats.length_class import LENGTH_CLASSES
-from service.formats.rfc3339 import format_time
+from service.formats.rfc3339 import format_time, format_times
 from service.formats.tracks import track_id
+from service.tracking.model import I64
 from service.traffic.edie import EdieTable
 from service.traffic.flow import (
     DEFINITIONS,
@@ -29,7 +31,7 @@ from service.traffic.flow import (
 Fields = dict[str, object]
 
 FULL_COVERAGE = 0.95  # of the frames, below which a row is flagged as partial
-_DECIMALS = 3
+DECIMALS = 3  # of every real number that is told
 _MEASURES = (
     "flow_vph",
     "time_mean_speed_mps",
@@ -54,6 +56,17 @@ _EDIE = (
 )
 _US_PER_S = 1_000_000
 _ROW = re.compile(r"([A-Za-z0-9_-]+)-(\d{1,11})-(\d{1,11})", re.ASCII)  # group, start and interval in seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Coded:
+    """A column of N rows with few values: the values, and for each row the place of its own."""
+
+    values: Sequence[object]
+    index: I64  # (N,); the same object in columns that go together
+
+
+Column = Coded | NDArray[Any] | list[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,92 +130,107 @@ def crossing_fields(sensor_id: str, crossings: CrossingTable) -> list[Fields]:
 
 
 def flow_fields(sensor_id: str, flow: FlowTable, *, histogram: bool = True) -> list[Fields]:
-    """Return the fields of each row of a flow table.
+    """Return the fields of each row of a flow table."""
+    return rows_of(flow_columns(sensor_id, flow, histogram=histogram))
 
-    Column by column, for a day of minutes has thousands of rows.
-    """
-    count, order = len(flow.n), flow.group.tolist()
-    starts, ends, spans, starts_s = _interval_columns(flow)
-    codes = [_group_code(group) for group in flow.groups]
-    lanes = [lane_id(group.lane) for group in flow.groups]
-    scopes = [lane_scope(group.lane) for group in flow.groups]
-    volumes = flow.n.tolist()
-    columns: dict[str, Sequence[object]] = {
-        "row": [f"{codes[g]}-{at}-{span}" for g, at, span in zip(order, starts_s, spans, strict=True)],
-        "sensor_id": [sensor_id] * count,
-        "line_id": [flow.groups[g].line_id for g in order],
-        "lane_id": [lanes[g] for g in order],
-        "lane_scope": [scopes[g] for g in order],
-        "direction": [flow.groups[g].direction for g in order],
-        "length_class": [flow.groups[g].length_class for g in order],
+
+def flow_columns(sensor_id: str, flow: FlowTable, *, histogram: bool = True) -> dict[str, Column]:
+    """Return the columns of a flow table, for a day of minutes has thousands of rows."""
+    groups, starts, ends, spans = flow.groups, *_intervals(flow)
+    codes, from_s = [_group_code(group) for group in groups], flow.start_us // _US_PER_S
+    alike = np.zeros(len(flow.n), np.int64)
+    columns: dict[str, Column] = {
+        "row": [
+            f"{codes[g]}-{at}-{spans.values[k]}"
+            for g, at, k in zip(flow.group.tolist(), from_s.tolist(), spans.index.tolist(), strict=True)
+        ],
+        "sensor_id": Coded([sensor_id] * len(groups), flow.group),
+        "line_id": Coded([group.line_id for group in groups], flow.group),
+        "lane_id": Coded([lane_id(group.lane) for group in groups], flow.group),
+        "lane_scope": Coded([lane_scope(group.lane) for group in groups], flow.group),
+        "direction": Coded([group.direction for group in groups], flow.group),
+        "length_class": Coded([group.length_class for group in groups], flow.group),
         "start": starts,
         "end": ends,
         "interval_s": spans,
-        "coverage": plain(flow.coverage),
-        "observed": plain(flow.observed),
-        "n": volumes,
-        "volume": volumes,
-        "volume_low": flow.volume_low.tolist(),
-        "volume_high": flow.volume_high.tolist(),
-        **{name: plain(getattr(flow, name)) for name in _MEASURES},
-        "virtual_length_m": [VIRTUAL_LENGTH_M] * count,
+        "coverage": flow.coverage,
+        "observed": flow.observed,
+        "n": flow.n,
+        "volume": flow.n,
+        "volume_low": flow.volume_low,
+        "volume_high": flow.volume_high,
+        **{name: getattr(flow, name) for name in _MEASURES},
+        "virtual_length_m": Coded([VIRTUAL_LENGTH_M], alike),
     }
     if histogram:
-        columns["speed_histogram"] = flow.histogram.tolist()
-    columns |= {"quality": _quality(flow), "definitions": [DEFINITIONS] * count}
+        columns["speed_histogram"] = flow.histogram
+    return columns | {"quality": _quality(flow), "definitions": Coded([DEFINITIONS], alike)}
+
+
+def rows_of(columns: Mapping[str, Column]) -> list[Fields]:
+    """Return each row of some columns by the names of these."""
     names = tuple(columns)
-    return [dict(zip(names, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    values = [_listed(column) for column in columns.values()]
+    return [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
+
+
+def _listed(column: Column) -> Sequence[object]:
+    if isinstance(column, Coded):
+        values = column.values
+        return [values[k] for k in column.index.tolist()]
+    if isinstance(column, list):
+        return column
+    return plain(column) if column.dtype.kind == "f" else list(column.tolist())
 
 
 def edie_fields(sensor_id: str, edie: EdieTable) -> list[Fields]:
     """Return the fields of each cell and interval."""
-    starts, ends, spans, _ = _interval_columns(edie)
-    real = {name: plain(getattr(edie, name)) for name in _EDIE}
-    whole = {name: getattr(edie, name).tolist() for name in ("lane", "cell", "map_version")}
-    return [
+    count = len(edie.lane)
+    alike = np.zeros(count, np.int64)
+    starts, ends, spans = _intervals(edie)
+    lanes, index = np.unique(edie.lane, return_inverse=True)
+    return rows_of(
         {
-            "sensor_id": sensor_id,
-            "lane_id": lane_id(whole["lane"][i]),
-            "lane_map_version": whole["map_version"][i],
-            "cell": whole["cell"][i],
-            "start": starts[i],
-            "end": ends[i],
-            "interval_s": spans[i],
-            **{name: real[name][i] for name in _EDIE},
-            "definitions": DEFINITIONS,
+            "sensor_id": Coded([sensor_id], alike),
+            "lane_id": Coded([lane_id(lane) for lane in lanes.tolist()], index),
+            "lane_map_version": edie.map_version,
+            "cell": edie.cell,
+            "start": starts,
+            "end": ends,
+            "interval_s": spans,
+            **{name: getattr(edie, name) for name in _EDIE},
+            "definitions": Coded([DEFINITIONS], alike),
         }
-        for i in range(len(whole["lane"]))
-    ]
-
-
-def _interval_columns(
-    table: FlowTable | EdieTable,
-) -> tuple[Sequence[str], Sequence[str], Sequence[int], Sequence[int]]:
-    """Return start and end as text, the length and the start in seconds of each row's interval."""
-    pairs = np.stack([table.start_us, table.end_us], axis=1)
-    known, index = np.unique(pairs, axis=0, return_inverse=True)
-    place = index.reshape(-1).tolist()
-    start = [format_time(value) for value in known[:, 0].tolist()]
-    end = [format_time(value) for value in known[:, 1].tolist()]
-    span = ((known[:, 1] - known[:, 0]) // _US_PER_S).tolist()
-    start_s = (known[:, 0] // _US_PER_S).tolist()
-    return (
-        [start[k] for k in place],
-        [end[k] for k in place],
-        [span[k] for k in place],
-        [start_s[k] for k in place],
     )
 
 
-def _quality(flow: FlowTable) -> list[list[str]]:
+def _intervals(table: FlowTable | EdieTable) -> tuple[Coded, Coded, Coded]:
+    """Return start and end as text and the length in seconds of each row's interval."""
+    start_us, end_us = table.start_us, table.end_us
+    new = np.ones(len(start_us), np.bool_)
+    new[1:] = (np.diff(start_us) != 0) | (np.diff(end_us) != 0)
+    index = np.cumsum(new) - 1
+    return (
+        Coded(format_times(start_us[new]), index),
+        Coded(format_times(end_us[new]), index),
+        Coded(((end_us - start_us)[new] // _US_PER_S).tolist(), index),
+    )
+
+
+def _quality(flow: FlowTable) -> Coded:
     """Return the flags of each row."""
     flags = (
         ("partial", flow.coverage < FULL_COVERAGE),
         ("low_sample", flow.n < LOW_SAMPLE),
         ("length_assumed", flow.lengths_known < flow.n),
     )
-    marks = [(name, mask.tolist()) for name, mask in flags]
-    return [[name for name, mask in marks if mask[i]] for i in range(len(flow.n))]
+    code = np.zeros(len(flow.n), np.int64)
+    for k, (_, mask) in enumerate(flags):
+        code |= mask.astype(np.int64) << k
+    names = [
+        [name for k, (name, _) in enumerate(flags) if value >> k & 1] for value in range(1 << len(flags))
+    ]
+    return Coded(names, code)
 
 
 def row_name(group: Group, start_s: int, interval_s: int) -> str:
@@ -245,12 +273,11 @@ def groups_of(
 
     by: any of "lane", "direction", "length_class".
     """
-    seen = {
-        (line, lane if "lane" in by else None, direction if "direction" in by else None)
-        for line, lane, direction in zip(
-            crossings.line_id.tolist(), crossings.lane.tolist(), crossings.direction.tolist(), strict=True
-        )
-    }
+    seen: set[tuple[str, int | None, int | None]] = set()
+    way = 4 * crossings.lane + crossings.direction + 1  # both in one number
+    for line in set(crossings.line_id.tolist()):
+        for lane, sign in (divmod(k, 4) for k in np.unique(way[crossings.line_id == line]).tolist()):
+            seen.add((line, lane if "lane" in by else None, sign - 1 if "direction" in by else None))
     if not by & {"lane", "direction"}:
         seen |= {(line, None, None) for line in line_ids}
     elif "direction" not in by:
@@ -262,7 +289,7 @@ def groups_of(
 
 def plain(column: NDArray[np.floating]) -> list[float | None]:
     """Return the values as Python numbers rounded to three decimals, NaN as None."""
-    values = np.round(column.astype(np.float64), _DECIMALS) + 0.0
+    values = np.round(column.astype(np.float64), DECIMALS) + 0.0
     missing = np.isnan(values)
     if not missing.any():
         return list(values.tolist())

@@ -4,24 +4,35 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import orjson
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import nbinom, poisson
 
+from service.api.flow_json import rows_json
 from service.errors import InvalidInput, NotFound
 from service.formats.local_days import interval_edges_us
 from service.formats.rfc3339 import parse_time_us
 from service.storage.flow_exports import csv_rows, pems_rows
 from service.traffic.count_check import check
-from service.traffic.count_intervals import Confidence, Counted, volume_bounds
-from service.traffic.flow import Group, Received, covered, crossing_table, flow_table
+from service.traffic.count_intervals import (
+    Confidence,
+    Counted,
+    nbinom_quantile,
+    poisson_quantile,
+    volume_bounds,
+)
+from service.traffic.flow import Group, Received, covered, crossing_table, flow_table, percentile
 from service.traffic.flow_fields import (
     RowName,
     crossing_fields,
+    flow_columns,
     flow_fields,
     groups_of,
     parse_row_name,
     row_name,
+    rows_of,
 )
 from service.traffic.movements import movements
 from service.traffic.records import CROSSING, MINUTE_US, Crossing, record_of
@@ -277,3 +288,65 @@ def test_a_row_says_whether_it_is_of_a_lane_of_all_or_of_vehicles_in_none():
         ("L2", "lane", 1),
         (None, "no_lane", 1),
     ]
+
+
+@pytest.mark.parametrize("histogram", [True, False])
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_table_is_written_as_json_like_its_rows(histogram, count):
+    crossings = table_of(
+        *(
+            crossing(10 * k + 1, 12.3456, number=k, lane=k, **({"length_m": np.nan} if k == 1 else {}))
+            for k in range(count)
+        )
+    )
+    groups = groups_of(crossings, (), (), frozenset({"lane", "direction"}))
+    found = flow(crossings, edges=(0, 1, 2), got=received(1, 2), groups=groups)
+    columns = flow_columns('radar "1"', found, histogram=histogram)
+
+    written = orjson.loads(orjson.dumps(rows_json(columns)))
+
+    assert written == flow_fields('radar "1"', found, histogram=histogram)
+    assert len(written) == len(found.n)
+    assert all(("speed_histogram" in row) is histogram for row in written)
+
+
+def test_a_text_with_quotes_in_a_column_of_texts_is_written_as_it_is():
+    columns = {"row": ['a","b', "c"], "n": np.array([1, 2])}
+
+    assert orjson.loads(orjson.dumps(rows_json(columns))) == rows_of(columns)
+
+
+def test_groups_are_those_seen():
+    crossings = table_of(
+        crossing(1, lane=2, direction=-1), crossing(2, lane=0, direction=1, line_id="A"), crossing(3, lane=2)
+    )
+
+    by_both = groups_of(crossings, (), (), frozenset({"lane", "direction"}))
+    by_direction = groups_of(crossings, (), (), frozenset({"direction"}))
+
+    ways = sorted({-1, int(crossings.direction[-1])})
+    assert [(g.line_id, g.lane, g.direction) for g in by_both] == [("A", 0, 1)] + [
+        ("C40", 2, w) for w in ways
+    ]
+    assert [(g.line_id, g.lane, g.direction) for g in by_direction] == [("A", None, 1)] + [
+        ("C40", None, w) for w in ways
+    ]
+
+
+def test_quantiles_of_volumes_are_those_of_their_distributions(rng):
+    mean = np.concatenate([[0.0, 1e-9, 29.9, 30.1, 2000.0], rng.uniform(0, 60, 500)])
+    successes, p = rng.uniform(0.5, 300, 2000), rng.uniform(0.001, 1 - 1e-9, 2000)
+
+    for share in (0.9, 0.975):
+        assert np.array_equal(poisson_quantile(share, mean), poisson.ppf(share, mean).clip(0))
+        assert np.array_equal(nbinom_quantile(share, successes, p), nbinom.ppf(share, successes, p))
+
+
+def test_percentiles_of_cells_are_those_of_numpy(rng):
+    values, cell = rng.uniform(0, 40, 300), rng.integers(0, 12, 300)
+    values[cell == 3] = 7.5
+
+    found = percentile(values, cell, 14, 0.85)
+
+    assert found[:12] == pytest.approx([np.quantile(values[cell == k], 0.85) for k in range(12)])
+    assert np.isnan(found[12:]).all()
