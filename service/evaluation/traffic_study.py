@@ -74,7 +74,12 @@ def follow(  # noqa: PLR0913 - one option a keyword
 
 
 def estimated_levels(chosen: SpaceFilter, true: PointNoise, seed: int, runs: int = 30) -> F64:
-    """Return (4, m) the median scale of R that the filter has 0.2 s before each quarter of a drive ends.
+    """Return (4, m) the median over the runs of `estimated_scales`."""
+    return np.asarray(np.median(estimated_scales(chosen, true, seed, runs), axis=1))
+
+
+def estimated_scales(chosen: SpaceFilter, true: PointNoise, seed: int, runs: int) -> F64:
+    """Return (4, N, m) the scale of R that the filter has 0.2 s before each quarter of a drive ends.
 
     The filter knows the noise of the first quarter; the truth is `NOISE_LEVELS`.
     """
@@ -90,7 +95,7 @@ def estimated_levels(chosen: SpaceFilter, true: PointNoise, seed: int, runs: int
         prediction = chosen.predict(state, FOLLOWING_PERIOD_S)
         state = chosen.update(prediction, z[k, :, None, :channels], all_R, np.ones((runs, 1)), np.zeros(runs))
         if k in marks:
-            levels.append(np.median(chosen.adaptation.noise_scale(state), axis=0))
+            levels.append(np.array(chosen.adaptation.noise_scale(state)))
     return np.array(levels)
 
 

@@ -31,10 +31,12 @@ class Cell:
     column: str
     paper: float | None
     ours: float | None
-    error: float | None = None  # Monte-Carlo standard error of ours; None: not sampled
+    error: float | None = None  # Monte-Carlo standard error of ours; None: not sampled, as `exact` says
     literal: float | None = None  # under the literal reading, where that is another one
+    literal_error: float | None = None  # its standard error
     bound: float | None = None  # posterior Cramer-Rao bound under the printed settings
     remark: str = ""  # why it cannot be matched
+    exact: str = ""  # why ours has no standard error
 
     @property
     def ratio(self) -> float | None:
@@ -94,6 +96,7 @@ class Bar:
     value: float
     low: float = -math.inf
     high: float = math.inf
+    error: float | None = None  # Monte-Carlo standard error of the value, where no cell has it
 
     @property
     def holds(self) -> bool:
@@ -117,6 +120,7 @@ class Reproduction:
     changed: tuple[str, ...]
 
 
+_RESAMPLES = 1000  # of a bootstrap
 Advance = Callable[[str], None]  # called after each step of the work, with what it was
 
 
@@ -150,6 +154,23 @@ def mean_and_error(samples: F64 | Sequence[float]) -> tuple[float, float]:
     return float(values.mean()), float(
         values.std(ddof=1) / math.sqrt(values.size)
     ) if values.size > 1 else math.nan
+
+
+def median_and_error(samples: F64 | Sequence[float]) -> tuple[float, float]:
+    """Return the median of independent runs and its standard error, by the bootstrap (Efron 1979)."""
+    values = np.asarray(samples, np.float64)
+    drawn = np.random.default_rng(0).choice(values, (_RESAMPLES, values.size))
+    error = float(np.median(drawn, axis=1).std(ddof=1)) if values.size > 1 else math.nan
+    return float(np.median(values)), error
+
+
+def ratio_of_rms(ours: F64, theirs: F64) -> tuple[float, float]:
+    """Return the root of the ratio of two means of squares (N,) of the same runs, and its standard error.
+
+    Both filters see the same noise, so the error is that of the differences, to first order.
+    """
+    ratio = float(np.sqrt(ours.mean() / theirs.mean()))
+    return ratio, ratio / 2.0 * mean_and_error(ours / ours.mean() - theirs / theirs.mean())[1]
 
 
 def rms_over_time(squared: F64) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from service.evaluation.reproduce.form import Bar, Cell, Kind, Settings, Table, mean_and_error
+from service.evaluation.reproduce.mast_study import rms_over_runs
 from service.evaluation.reproduce.recovery_study import Method, Outcome, Surroundings, repeat
 from service.simulation.crossing_vehicles import EASY, SCENES
 from service.tracking.recovery import RecoveryParameters
@@ -49,7 +50,10 @@ def table(studied: Studied) -> Table:
                 continue  # at every empty gate; not counted
             cells.append(Cell(head, column, None, *mean_and_error([getattr(o, key) for o in outcomes])))
         squared = np.array([o.squared_m2 for o in outcomes])
-        cells.append(Cell(head, "position error (m)", None, float(np.sqrt(np.nanmean(squared)))))
+        held = squared[np.isfinite(squared)]
+        value, error = rms_over_runs(held[None]) if held.size else (None, None)
+        why = "" if held.size > 1 else f"{held.size} runs that hold a track"
+        cells.append(Cell(head, "position error (m)", None, value, error, exact=why))
     runs = len(next(iter(studied.values())))
     note = (
         f"{runs} runs. Two easy scenes (a crossing, an overtaking), two with manoeuvres of 8 m/s^2 (braking "

@@ -127,3 +127,18 @@ def rms_over_runs(squared: F64) -> tuple[float, float]:
     each = squared.mean(axis=0)
     value = float(np.sqrt(each.mean()))
     return value, float(each.std(ddof=1) / np.sqrt(each.size) / (2.0 * value)) if each.size > 1 else math.nan
+
+
+def rms_of_mean(errors: F64) -> tuple[F64, F64]:
+    """Return the RMS over scans (n,) of the mean over the runs of errors (K, N, n), and its standard error.
+
+    Scans before the settling time do not count. The standard error is that of the jackknife over the runs.
+    """
+    settled = errors[SETTLED:]
+    mean, runs = settled.mean(axis=1, keepdims=True), settled.shape[1]
+    root = np.sqrt(np.square(mean[:, 0]).mean(axis=0))
+    if runs < 2:  # noqa: PLR2004 - one run has no spread
+        return root, np.full_like(root, math.nan)
+    without = (runs * mean - settled) / (runs - 1)
+    left_out = np.sqrt(np.square(without).mean(axis=0))  # (N, n)
+    return root, np.sqrt((runs - 1) * left_out.var(axis=0))

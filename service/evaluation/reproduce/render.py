@@ -30,18 +30,22 @@ def grid(table: Table) -> Grid:
     return Grid(heads, tuple(_row(c, [name for _, name in optional], remarks=remarks) for c in table.cells))
 
 
-_OPTIONAL = (("literal reading", "literal"), ("bound", "bound"))
+_OPTIONAL = (("literal reading", "literal"), ("its std error", "literal_error"), ("bound", "bound"))
 
 
 def _row(cell: Cell, optional: list[str], *, remarks: bool) -> tuple[str, ...]:
-    numbers = (cell.paper, cell.ours, cell.error, cell.ratio, *(getattr(cell, name) for name in optional))
-    return (cell.row, cell.column, *map(number, numbers), *([cell.remark] * remarks))
+    error = f"none: {cell.exact}" if cell.exact else number(cell.error)
+    more = (number(getattr(cell, name)) for name in optional)
+    shown = (number(cell.paper), number(cell.ours), error, number(cell.ratio), *more)
+    return (cell.row, cell.column, *shown, *([cell.remark] * remarks))
 
 
 def bars_grid(bars: tuple[Bar, ...]) -> Grid:
     """Return our bars and whether they hold."""
-    rows = tuple((b.name, number(b.value), _interval(b), "yes" if b.holds else "no") for b in bars)
-    return Grid(("bar", "value", "wanted", "holds"), rows)
+    rows = tuple(
+        (b.name, number(b.value), number(b.error), _interval(b), "yes" if b.holds else "no") for b in bars
+    )
+    return Grid(("bar", "value", "std error", "wanted", "holds"), rows)
 
 
 def _interval(bar: Bar) -> str:
@@ -99,6 +103,7 @@ def plain(result: Reproduction, *, curves: bool = True) -> dict[str, object]:
             {
                 "name": b.name,
                 "value": _round(b.value),
+                "std_error": _round(b.error),
                 "low": _round(b.low),
                 "high": _round(b.high),
                 "holds": b.holds,
@@ -115,10 +120,13 @@ def _plain_table(table: Table) -> dict[str, object]:
     for c in table.cells:
         numbers = {
             "paper": c.paper, "ours": c.ours, "std_error": c.error, "ratio": c.ratio, "literal": c.literal,
-            "bound": c.bound,
+            "literal_std_error": c.literal_error, "bound": c.bound,
         }  # fmt: skip
         known = {name: _round(value) for name, value in numbers.items()}
-        cells.append({"row": c.row, "column": c.column} | known | ({"remark": c.remark} if c.remark else {}))
+        cell: dict[str, object] = {"row": c.row, "column": c.column, **known}
+        cells.append(
+            cell | {name: word for name, word in (("remark", c.remark), ("no_error", c.exact)) if word}
+        )
     return {
         "number": table.number,
         "title": table.title,

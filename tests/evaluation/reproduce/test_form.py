@@ -75,7 +75,9 @@ def test_json_holds_no_number_that_json_does_not_know():
 
     assert value["figures"][0]["panels"][0]["lines"][0]["y"] == [1.0, None, 2.0]
     assert value["tables"][0]["cells"][0]["ratio"] == 1.5
-    assert value["bars"][1] == {"name": "share", "value": None, "low": 0.0, "high": 1.0, "holds": False}
+    assert value["bars"][1] == {
+        "name": "share", "value": None, "std_error": None, "low": 0.0, "high": 1.0, "holds": False,
+    }  # fmt: skip
 
 
 def test_figures_with_panels_become_pictures(tmp_path):
