@@ -24,7 +24,7 @@ from service.tracking.filters.robust import LEAST_WEIGHT, REJECTED, Guard
 from service.tracking.filters.sigma_points import Linearised, NonlinearStep, cholesky
 from service.tracking.filters.space import ROAD_AXES, ROAD_SENSOR, Space, road, steady_road
 from service.tracking.filters.space_filter import OWN, SpaceFilter
-from service.tracking.filters.weighted import own, project, weigh_scan
+from service.tracking.filters.weighted import differences, own, project, weigh_scan
 from service.tracking.model import F64
 from service.tracking.motion import constant_acceleration
 
@@ -128,17 +128,23 @@ class Imm:
         """Return the tracks after the measurements of the frame."""
         ours = own(prediction)
         before, sensor = self.unpacked(ours.memory), self.models[0].space.sensor
-        parts, seen, scans = [], [], []
+        parts, seen = [], []
         for model, part in zip(self.models, before.parts, strict=True):
             wide = Prediction(part.mean, part.propagated, part.noise + ours.noise, part.memory)
-            view = model.see(wide.mean, wide.cov)
             parts.append(wide)
-            seen.append(view)
-            scans.append(weigh_scan(sensor, z, R, beta, miss, z_hat=view.z_hat))
+            seen.append(model.see(wide.mean, wide.cov))
+        first = weigh_scan(sensor, z, R, beta, miss, z_hat=seen[0].z_hat)
+        scans = [first]
+        for view in seen[1:]:
+            e = differences(sensor, z, first.measured, view.z_hat)
+            scans.append(Innovations(e, first.R, first.measured, first.beta, first.miss))
         count = ours.memory[..., REJECTED].copy()
-        growth, count = self._growth(parts, seen, scans, count)
-        scans = [_grown(i, growth) for i in scans]
-        fit = evidence(before.probability, parts, seen, scans)
+        fits = [_nis(part, view, i) for part, view, i in zip(parts, seen, scans, strict=True)]
+        growth, count = self._growth([nis for nis, _ in fits], scans[0].beta, count)
+        if np.any(growth != 1.0):
+            scans = [_grown(i, growth) for i in scans]
+            fits = [_nis(part, view, i) for part, view, i in zip(parts, seen, scans, strict=True)]
+        fit = evidence(before.probability, fits, scans[0])
         states = [
             model.update_seen(part, view, i)
             for model, part, view, i in zip(self.models, parts, seen, scans, strict=True)
@@ -160,12 +166,14 @@ class Imm:
         many, n, lead = len(self.models), self.states, memory.shape[:-1]
         at, parts = OWN + many, []
         for model in self.models:
-            sizes = np.cumsum([n, n * n, n * n, model.memory_size])
-            mean, cov, noise, kept = np.split(memory[..., at : at + sizes[-1]], sizes[:-1], axis=-1)
+            cov_at, noise_at = at + n, at + n + n * n
+            kept_at, end = noise_at + n * n, noise_at + n * n + model.memory_size
+            cov = memory[..., cov_at:noise_at].reshape(*lead, n, n)
+            noise = memory[..., noise_at:kept_at].reshape(*lead, n, n)
             parts.append(
-                Prediction(mean.copy(), cov.reshape(*lead, n, n), noise.reshape(*lead, n, n), kept.copy())
+                Prediction(memory[..., at:cov_at].copy(), cov, noise, memory[..., kept_at:end].copy())
             )
-            at += sizes[-1]
+            at = end
         return Mixture(memory[..., OWN : OWN + many], tuple(parts))
 
     def _packed(self, count: F64, mixture: Mixture) -> F64:
@@ -175,18 +183,14 @@ class Imm:
             columns.extend((part.mean, *flat, part.memory))
         return np.concatenate(columns, axis=-1)
 
-    def _growth(
-        self, parts: list[Prediction], seen: list[Linearised], scans: list[Innovations], count: F64
-    ) -> tuple[F64, F64]:
+    def _growth(self, each: list[F64], beta: F64, count: F64) -> tuple[F64, F64]:
         """Return by how much each R (..., J) grows, and the rejected frames in a row (...).
 
-        A measurement is an outlier when it is one for every model.
+        A measurement is an outlier when it is one for every model; each: their NIS (..., J).
         """
         gate, release = self.guard.robust_gate, self.guard.gate_release_frames
-        beta = scans[0].beta
         if gate is None:
             return np.ones(beta.shape), count
-        each = [_nis(part, view, i)[0] for part, view, i in zip(parts, seen, scans, strict=True)]
         nis = np.min(each, axis=0)
         outside = (nis > gate) & (beta > 0.0)
         kept = np.ones(count.shape, np.bool_) if release is None else count < release
@@ -198,28 +202,28 @@ class Imm:
 
 def mix(weights: F64, means: list[F64], covs: list[F64]) -> tuple[F64, F64]:
     """Return the moments of a mixture: weights (..., M), means (..., n), covariances (..., n, n)."""
-    each = np.stack(means, axis=-2)
-    mean = (weights[..., None] * each).sum(axis=-2)
-    off = each - mean[..., None, :]
-    spread = off[..., :, None] * off[..., None, :]
-    cov = (weights[..., None, None] * (np.stack(covs, axis=-3) + spread)).sum(axis=-3)
+    mean, cov = np.zeros_like(means[0]), np.zeros_like(covs[0])
+    for m, x in enumerate(means):
+        mean += weights[..., m, None] * x
+    for m, (x, C) in enumerate(zip(means, covs, strict=True)):
+        off = x - mean
+        cov += weights[..., m, None, None] * (C + off[..., :, None] * off[..., None, :])
     return mean, symmetric(cov)
 
 
-def evidence(
-    probability: F64, parts: list[Prediction], seen: list[Linearised], scans: list[Innovations]
-) -> F64:
+def evidence(probability: F64, fits: list[tuple[F64, F64]], i: Innovations) -> F64:
     """Return the likelihood (..., M) of each model, relative to that of the mixture.
+
+    fits: e' S^-1 e and log det S (..., J) of each model; of the innovations only the probabilities count.
 
     miss + sum_j beta_j N(e_j; 0, S_j) / sum_m mu_m N_m: the association probabilities of the mixture are
     turned into those of the model.
     """
-    each = [_nis(part, view, i) for part, view, i in zip(parts, seen, scans, strict=True)]
-    log = np.stack([-0.5 * (nis + log_det) for nis, log_det in each], axis=-2)  # (..., M, J)
+    log = np.stack([-0.5 * (nis + log_det) for nis, log_det in fits], axis=-2)  # (..., M, J)
     density = np.exp(log - log.max(axis=-2, keepdims=True))
     total = (probability[..., None] * density).sum(axis=-2)
     share = density / np.maximum(total, np.finfo(np.float64).tiny)[..., None, :]
-    return np.asarray(scans[0].miss[..., None] + (scans[0].beta[..., None, :] * share).sum(axis=-1))
+    return np.asarray(i.miss[..., None] + (i.beta[..., None, :] * share).sum(axis=-1))
 
 
 def _nis(part: Prediction, seen: Linearised, i: Innovations) -> tuple[F64, F64]:

@@ -67,9 +67,14 @@ def weigh_scan(  # noqa: PLR0913 - the arguments of an update
     if not np.all(np.abs(total - 1.0) <= BALANCE_TOLERANCE):
         raise InvalidInput(f"sum of beta and miss must be 1 for each track, got {total.ravel().tolist()[:8]}")
     measured = np.isfinite(z) & (beta > 0.0)[..., None]
-    e = sensor.difference(np.where(measured, z, z_hat[..., None, :]), z_hat[..., None, :])
     R = np.where(measured[..., :, None] & measured[..., None, :], R, 0.0)
-    return Innovations(np.where(measured, e, 0.0), R, measured, beta, miss)
+    return Innovations(differences(sensor, z, measured, z_hat), R, measured, beta, miss)
+
+
+def differences(sensor: Sensor, z: F64, measured: Bool, z_hat: F64) -> F64:
+    """Return z (..., J, m) less z_hat (..., m), zero where nothing was measured."""
+    e = sensor.difference(np.where(measured, z, z_hat[..., None, :]), z_hat[..., None, :])
+    return np.where(measured, e, 0.0)
 
 
 def summarise(i: Innovations) -> Summary:
@@ -98,6 +103,8 @@ def project(H: F64, cov: F64) -> F64:
 
 def with_noise(i: Innovations, omega: F64) -> Innovations:
     """Return the innovations with the noise of the linearisation (..., m, m) added to each R."""
+    if not omega.any():
+        return i
     seen = i.measured[..., :, None] & i.measured[..., None, :]
     return Innovations(i.e, i.R + np.where(seen, omega[..., None, :, :], 0.0), i.measured, i.beta, i.miss)
 
@@ -123,8 +130,9 @@ def correct(  # noqa: PLR0913 - the parts of one formula
     A = (share[..., None, None] * inverse).sum(axis=-3)
     d = (i.beta[..., None] * y).sum(axis=-2)
     scaled = (i.beta * growth)[..., None, None] * (inverse @ i.R @ inverse)
-    off = inverse - A[..., None, :, :]
-    scaled = scaled + i.beta[..., None, None] * (off @ S0[..., None, :, :] @ off)
+    if i.beta.shape[-1] > 1:  # one measurement has the mean gain
+        off = inverse - A[..., None, :, :]
+        scaled = scaled + i.beta[..., None, None] * (off @ S0[..., None, :, :] @ off)
     spread = i.beta[..., None, None] * y[..., :, None] * y[..., None, :]
     M = symmetric((scaled + spread).sum(axis=-3) - d[..., :, None] * d[..., None, :])
     PHt = prior @ H.swapaxes(-1, -2)

@@ -133,3 +133,22 @@ def test_a_car_that_swerves_is_followed():
     runs = run_filter(imm(ImmParameters()), z, HOSTILE.covariance(), PERIOD_S)
 
     assert position_and_velocity_rmse(runs, truth, 40)[0] <= 0.45
+
+
+def test_a_measurement_that_is_no_ones_changes_no_track():
+    """One measurement takes a shorter way through the update than several."""
+    chosen = imm(ImmParameters())
+    truth = np.repeat(swerve()[:, None], 6, axis=1)
+    z = measure(truth, HOSTILE, np.random.default_rng(3))
+    alone = beside = two_point_start(chosen, z, HOSTILE.covariance(), PERIOD_S)
+    for k in range(2, 40):
+        R = np.broadcast_to(HOSTILE.covariance(), (6, 2, 3, 3))
+        seen = np.isfinite(z[k]).all(axis=-1)
+        beta, miss = np.stack([seen, np.zeros(6)], axis=-1).astype(float), (~seen).astype(float)
+        scan = np.stack([z[k], z[k] + 0.1], axis=1)
+        alone = chosen.update(chosen.predict(alone, PERIOD_S), scan[:, :1], R[:, :1], beta[:, :1], miss)
+        beside = chosen.update(chosen.predict(beside, PERIOD_S), scan, R, beta, miss)
+
+    np.testing.assert_allclose(beside.mean, alone.mean, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(beside.cov, alone.cov, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(beside.memory, alone.memory, rtol=1e-9, atol=1e-9)
