@@ -1,11 +1,13 @@
 """The studies behind the papers' tables: their truths, bounds and what they say."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from service.evaluation.reproduce.car_study import ENVIRONMENTS, Drives
 from service.evaluation.reproduce.isrckf import gain_error, gains
-from service.evaluation.reproduce.isrckf_states import PRINTED_S, judge
+from service.evaluation.reproduce.isrckf_states import PRINTED_S, judge, judge_all, states_table, worst_mean
 from service.evaluation.reproduce.mast_study import Reading, fly, least_errors, rms_over_runs
 from service.simulation.turning_target import turning_target
 
@@ -56,6 +58,19 @@ def test_the_motion_states_change_at_the_papers_times():
 
     assert judged.worst_s <= 0.1
     assert judged.changes[-1][0] == PRINTED_S[-1][0]
+
+
+def test_the_times_of_the_motion_states_are_means_over_drives_of_other_noise():
+    judged = judge_all(3, 1)
+
+    times = np.array([[t for _, t in j.changes[-len(PRINTED_S) :]] for j in judged])
+    cells = states_table(judged).cells
+    np.testing.assert_allclose([c.ours for c in cells], times.mean(axis=0))
+    np.testing.assert_allclose([c.error for c in cells], times.std(axis=0, ddof=1) / np.sqrt(3))
+    assert len({tuple(row) for row in times}) == 3
+    assert worst_mean(judged)[0] == pytest.approx(max(abs(c.ours - c.paper) for c in cells))
+    lost = dataclasses.replace(judged[0], changes=judged[0].changes[:-1])
+    assert worst_mean([*judged[1:], lost])[0] == np.inf
 
 
 def test_the_standard_errors_of_the_drives_are_the_spread_over_repeated_studies():
