@@ -63,6 +63,11 @@ class ExtentParameters:
     road_std_rad: float = 0.1  # of a vehicle about it ...
     road_memory_frames: float = 5.0  # ... which says the same for so many frames
     road_gate_rad: float = 0.6  # a vehicle further off turns, or its heading is no more than a guess
+    # a settled box that stands or crawls goes where its velocity says, and hardly where its points say
+    held_hits: int = 30
+    held_below_mps: float = 0.5
+    held_step_m: float = 0.01  # most that the points move it in a frame, end-on ...
+    held_side_on_step_m: float = 0.03  # ... and side-on, where the range rate tells little
     # a vehicle without a range rate and with little speed is taken to stand
     still_range_rate_mps: float = 0.25
     still_speed_mps: float = 1.5
@@ -178,6 +183,39 @@ def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tupl
     out[:, 1:3], out[:, 4:6] = c * right + s * ahead, c * ahead - s * right
     heading = tracks.heading_rad + angle
     return tracks.but(heading_rad=heading, turn_rate_radps=rate), out
+
+
+def hold(tracks: Tracks, predicted: F64, mean: F64, p: ExtentParameters) -> F64:
+    """Return the means (T, 6) after an update with settled boxes that stand held where they were predicted.
+
+    tracks: before the update; predicted (T, 6). Which end of a standing vehicle answers changes from frame
+    to frame, and a filter takes that for motion, against what the range rate says.
+    """
+    if not len(tracks):
+        return mean
+    out = mean.copy()
+    limits = (p.held_below_mps, p.held_step_m, p.held_side_on_step_m)
+    _hold(out, predicted, tracks.heading_rad, tracks.hits, p.held_hits, limits)
+    return out
+
+
+@kernel
+def _hold(
+    mean: F64, predicted: F64, heading: F64, hits: I64, settled: int, limits: tuple[float, float, float]
+) -> None:
+    below, step, side_on = limits
+    for i in range(len(hits)):
+        if hits[i] < settled or math.hypot(predicted[i, 1], predicted[i, 4]) > below:
+            continue
+        if math.hypot(mean[i, 1], mean[i, 4]) > below:
+            continue
+        end_on = abs(math.cos(heading[i] - math.atan2(predicted[i, 0], predicted[i, 3])))
+        most = step if end_on > 0.5 else side_on
+        dx, dy = mean[i, 0] - predicted[i, 0], mean[i, 3] - predicted[i, 3]
+        far = math.hypot(dx, dy)
+        if far > most:
+            mean[i, 0] = predicted[i, 0] + dx * most / far
+            mean[i, 3] = predicted[i, 3] + dy * most / far
 
 
 @kernel

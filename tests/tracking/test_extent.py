@@ -126,6 +126,27 @@ def test_sideways_motion_is_bound_loosely_off_the_direction_of_the_road():
     assert abs(along.mean[0, 1]) + 0.1 < abs(off.mean[0, 1])
 
 
+@pytest.mark.parametrize(("heading_rad", "step_m"), [(0.0, 0.01), (math.pi / 2, 0.03)])
+def test_the_points_of_a_settled_box_that_stands_move_it_by_a_step_at_most(heading_rad, step_m):
+    track = one_track(heading_rad=heading_rad)
+    after = track.mean + np.array([0.3, 0.0, 0.0, 0.4, 0.0, 0.0])
+
+    held = extent.hold(track, track.mean, after, ExtentParameters())
+
+    np.testing.assert_allclose(held[0, [0, 3]] - track.mean[0, [0, 3]], [0.6 * step_m, 0.8 * step_m])
+    np.testing.assert_array_equal(held[0, [1, 2, 4, 5]], after[0, [1, 2, 4, 5]])
+
+
+@pytest.mark.parametrize(
+    ("before_mps", "after_mps", "hits"), [(0.6, 0.0, 50), (0.0, 0.6, 50), (0.0, 0.0, 29)]
+)
+def test_a_box_that_moves_or_is_young_goes_where_its_points_are(before_mps, after_mps, hits):
+    track = one_track(vy=before_mps).but(hits=np.array([hits]))
+    after = one_track(vy=after_mps, y=61.0).mean
+
+    np.testing.assert_array_equal(extent.hold(track, track.mean, after, ExtentParameters()), after)
+
+
 def test_what_has_no_range_rate_is_taken_to_stand():
     # side-on to the radar: the range rate is nearly none although it seems to move at 1 m/s
     track = one_track(heading_rad=math.pi / 2, vx=1.0, vy=0.0, speed_var=1.0)
