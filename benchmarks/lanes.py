@@ -50,7 +50,8 @@ STANDS = (MotionState.STATIONARY, MotionState.START_STOP)
 SETTLED_S = 6.0  # a manoeuvre whose ends the truth had to cut off here is no complete change of lanes
 SIGHT_M = (25.0, 140.0)
 MAST_M = 30.0  # before the first vehicle of real trajectories
-USED_BY = 5  # vehicles, for a true lane to count
+USED_BY = 5  # vehicles in sight, for a true lane to count
+ONE_LANE_M = 1.75  # from the middle of a lane to a vehicle in it
 NEAR_M = 1.2  # of a true lane to the learned one that is taken for it
 
 
@@ -176,19 +177,19 @@ def measure_trajectories(path: Path, seed: int) -> dict[str, object]:
     found = run((s.frame for s in from_trajectories(placed, seed=seed)), config)
     content = json.loads(path.with_name(path.name.replace(".csv.gz", ".lanes.json")).read_text())
     turn = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
-    lines: dict[str, list[np.ndarray]] = {}
-    for lane in content["lanes"]:
-        points = (np.array(lane["centerline"]) - middle) @ turn
-        lines.setdefault(str(lane["lane_id"]), []).append(points)
+    lines = _true_lanes(
+        [(str(lane["lane_id"]), (np.array(lane["centerline"]) - middle) @ turn) for lane in content["lanes"]]
+    )
     learned = [lane for lane in found.map.lanes if lane.kind == "lane"]
+    places = np.column_stack([placed.x_m, placed.y_m])
+    seen = (np.hypot(*places.T) > SIGHT_M[0]) & (np.hypot(*places.T) < SIGHT_M[1])
     partner: dict[str, float] = {}
     for name, parts in lines.items():
-        users = (
-            len(set(placed.vehicle_id[placed.lane == placed.lane_ids.index(name)].tolist()))
-            if name in placed.lane_ids
-            else 0
-        )
-        if users >= USED_BY:
+        inside = np.zeros(seen.sum(), dtype=np.bool_)
+        for part in parts:
+            place = beside(places[seen], part)
+            inside |= ~place.beyond & (np.abs(place.right_m) < ONE_LANE_M)
+        if len(set(placed.vehicle_id[seen][inside].tolist())) >= USED_BY:
             partner[name] = _nearest(np.concatenate(parts), learned)
     right = {name: away_m for name, away_m in partner.items() if away_m < NEAR_M}
     return {
@@ -197,6 +198,29 @@ def measure_trajectories(path: Path, seed: int) -> dict[str, object]:
         "lane_offset_mean_m": float(np.mean(list(right.values()))) if right else math.nan,
         "offsets_m": {name: round(away_m, 2) for name, away_m in partner.items()}, **cost(found),
     }  # fmt: skip
+
+
+def _true_lanes(parts: list[tuple[str, np.ndarray]]) -> dict[str, list[np.ndarray]]:
+    """Return the parts of each lane; parts of one name that do not touch are lanes of their own (1, 1b, ...).
+
+    In the data a ramp has the number of the leftmost lane.
+    """
+    lanes: dict[str, list[list[np.ndarray]]] = {}
+    for name, points in parts:
+        own = [points]
+        apart = []
+        for other in lanes.get(name, []):
+            gaps = [np.hypot(*(points[:, None] - part).transpose(2, 0, 1)).min() for part in other]
+            if min(gaps) < ONE_LANE_M:
+                own += other
+            else:
+                apart.append(other)
+        lanes[name] = [own, *apart]
+    return {
+        name + ("" if k == 0 else chr(ord("a") + k)): lane
+        for name, found in lanes.items()
+        for k, lane in enumerate(sorted(found, key=lambda lane: -sum(map(len, lane))))
+    }
 
 
 def _nearest(points: np.ndarray, learned: list[Lane]) -> float:

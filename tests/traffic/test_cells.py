@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import counts
 from service.formats.sensor import CountLine, SensorConfig
+from service.simulation.scenario import scenario_named, simulate
 from service.traffic.cells import CELL, along
 from service.traffic.counting import count, nothing_counted
 from service.traffic.edie import CellTable, edie_table
@@ -124,3 +126,24 @@ def test_placed_lines_stay_while_the_map_has_the_same_lanes():
     assert len(first) == 2
     assert second == first
     assert len(third) == 1
+
+
+def test_the_measures_of_a_queue_are_right_where_the_tracks_are():
+    scenario = scenario_named("queue")
+    frames = list(simulate(scenario, seed=1, duration_s=40.0))
+    config, lanes = SensorConfig(sensor_id="radar-1"), counts.lane_map(scenario)
+    tracks = []
+    for k, simulated in enumerate(frames):
+        v = simulated.vehicles
+        now = estimates(v.vehicle_id + 1, v.x_m, v.y_m, v.vx_mps, v.vy_mps)
+        tracks.append((simulated.frame.time_us, k, now, False))
+    nobody = estimates(np.zeros(0), *np.zeros((4, 0)))
+    tracks += [(tracks[-1][0] + k * 1_000_000, len(frames), nobody, True) for k in range(1, 5)]
+    cell_m = traffic_setup(config).parameters.counting.cell_m
+    true = counts.true_cells(lanes, frames, cell_m)
+    run = counts.Run("queue", False, config, lanes, 40.0, [], true, tracks)
+
+    errors = counts.edie([counts.tally(run)])
+
+    assert errors["edie_cells"] >= 5
+    assert max(errors[f"edie_{name}_mean_abs"] for name in "qkv") < 0.01
