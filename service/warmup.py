@@ -18,6 +18,7 @@ from service.tracking.filters.registry import filter_names, make_filter
 from service.tracking.model import F64, Frame
 from service.tracking.parameters import TrackerParameters
 from service.traffic import monitor
+from service.traffic.crossing_lanes import lanes_at
 from service.traffic.curves import beside
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
@@ -64,6 +65,7 @@ def _whole_step() -> None:
         traffic, _, _ = monitor.step(traffic, Moment(number * FRAME_US, number, tick=False), estimates, setup)
     tracker.coast(state, FRAMES * FRAME_US, chosen)
     beside(np.zeros((1, 2)), np.array([[0.0, 0.0], [1.0, 0.0]]))
+    lanes_at(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1, dtype=np.int64), traffic.counts.ruler)
 
 
 def _frame(number: int) -> Frame:

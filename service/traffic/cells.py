@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from service.tracking.kernel import kernel, part
-from service.tracking.model import F64, I64, U8
+from service.tracking.model import F64, I64, U8, Bool
 from service.traffic.model import MOST_LANES, LaneMap
 from service.traffic.records import MINUTE_US
 from service.traffic.stitching import Joined
@@ -43,12 +43,24 @@ class Ruler:
     lane: tuple[int, ...]  # indices
     first: I64  # (L + 1,) first point of each lane
     points_m: F64  # (P, 2) of all lanes
+    half_width_m: F64  # (L,) half the median width
+    turn: Bool  # (L,) ways through a junction
     cells: tuple[int, ...]
     length_m: tuple[float, ...]
     cell_m: float
 
 
-NO_RULER = Ruler(0, (), np.zeros(1, dtype=np.int64), np.zeros((0, 2)), (), (), 0.0)
+NO_RULER = Ruler(
+    0,
+    (),
+    np.zeros(1, dtype=np.int64),
+    np.zeros((0, 2)),
+    np.zeros(0),
+    np.zeros(0, dtype=np.bool_),
+    (),
+    (),
+    0.0,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +84,8 @@ def ruler_of(lanes: LaneMap, cell_m: float) -> Ruler:
         lane=tuple(lane.index for lane in lanes.lanes),
         first=np.cumsum([0, *(len(lane.points_m) for lane in lanes.lanes)]),
         points_m=np.concatenate([np.zeros((0, 2)), *(lane.points_m for lane in lanes.lanes)]),
+        half_width_m=np.array([float(np.median(lane.width_m)) / 2 for lane in lanes.lanes]),
+        turn=np.array([lane.kind == "turn" for lane in lanes.lanes], dtype=np.bool_),
         cells=tuple(int(np.ceil(metres / cell_m)) for metres in length),
         length_m=length,
         cell_m=cell_m,

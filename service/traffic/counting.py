@@ -18,7 +18,7 @@ from service.tracking.model import TrackEstimates
 from service.traffic.cells import NO_RULER, MinuteCells, Ruler, cell_records, drive, ruler_of
 from service.traffic.count_parameters import CountParameters
 from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
-from service.traffic.crossing_lanes import lane_at, passing_s, relabelled, way_across
+from service.traffic.crossing_lanes import lanes_at, passing_s, relabelled, way_across
 from service.traffic.crossings import LineStates, View, cross, no_line_states
 from service.traffic.line_placing import place_lines
 from service.traffic.lines import Line
@@ -90,9 +90,9 @@ def count(
     mapped: tuple[MinuteBlock, ...] = state.blocks
     relabelled_blocks: tuple[MinuteBlock, ...] = ()
     if ruler is not state.ruler and lanes.lanes:
-        mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, lanes, p)
+        mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    crossings, leaders = _followed(found, state, lanes, p)
+    crossings, leaders = _followed(found, state, ruler, p)
     blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
     grown = _newest(relabelled_blocks, grown)
     state = CountState(
@@ -124,19 +124,20 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
 
 
 def _followed(
-    found: Sequence[Crossing], state: CountState, lanes: LaneMap, p: CountParameters
+    found: Sequence[Crossing], state: CountState, ruler: Ruler, p: CountParameters
 ) -> tuple[tuple[Crossing, ...], tuple[Leader, ...]]:
     """Return the crossings with number, map, headway and gap, and whom the next ones follow."""
     if not found:
         return (), state.leaders
     leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
     lines = {line.line_id: line for line in state.lines}
+    place = np.array([(crossing.x_m, crossing.y_m) for crossing in found])
+    way = np.array([way_across(lines[crossing.line_id], crossing.direction) for crossing in found])
+    lanes = lanes_at(place, way, np.array([crossing.lane for crossing in found], dtype=np.int64), ruler)
     crossings = []
-    for k, crossing in enumerate(found, start=state.crossings + 1):
+    for k, (crossing, lane) in enumerate(zip(found, lanes.tolist(), strict=True), start=state.crossings + 1):
         passing = passing_s(crossing.length_m, crossing.speed_mps, p)
         front_us = crossing.time_us - round(passing / 2 * 1e6)
-        way = way_across(lines[crossing.line_id], crossing.direction)
-        lane = lane_at(crossing.x_m, crossing.y_m, way, crossing.lane, lanes)
         key = (crossing.line_id, lane, crossing.direction)
         leader = leaders.get(key) if lane else None
         headway_s = gap_s = math.nan
@@ -145,8 +146,11 @@ def _followed(
             gap_s = headway_s - leader.passing_s
         if lane and (leader is None or front_us > leader.front_us):
             leaders[key] = Leader(*key, front_us, passing)
-        there = replace(crossing, number=k, lane=lane, map_version=lanes.version)
-        crossings.append(replace(there, headway_s=headway_s, gap_s=gap_s))
+        crossings.append(
+            replace(
+                crossing, number=k, lane=lane, map_version=ruler.version, headway_s=headway_s, gap_s=gap_s
+            )
+        )
     return tuple(crossings), tuple(leaders.values())
 
 

@@ -14,11 +14,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.tracking.model import F64
+from service.tracking.kernel import kernel, part
+from service.tracking.model import F64, I64, Bool
+from service.traffic.cells import Ruler
 from service.traffic.count_parameters import CountParameters
-from service.traffic.curves import beside
 from service.traffic.lines import Line
-from service.traffic.model import NO_LANE, LaneMap
+from service.traffic.model import NO_LANE
 from service.traffic.records import DECIMALS, MINUTE_US, Leader, MinuteBlock
 
 _LEAST_COSINE = math.cos(math.radians(50.0))  # between a lane and the way across the line
@@ -32,26 +33,61 @@ def way_across(line: Line, direction: int) -> F64:
     return np.array([-dy, dx]) * direction / math.hypot(dx, dy)
 
 
-def lane_at(x_m: float, y_m: float, way: F64, lane: int, lanes: LaneMap) -> int:
-    """Return the lane of a place on a line: the nearest that goes that way, else the lane it had, `lane`."""
-    place = np.array([[x_m, y_m]], dtype=np.float64)
-    best, nearest, mine = NO_LANE, math.inf, math.inf
-    for candidate in lanes.lanes:
-        foot = beside(place, candidate.points_m)
-        cosine = math.sin(foot.heading_rad[0]) * way[0] + math.cos(foot.heading_rad[0]) * way[1]
-        if foot.beyond[0] or abs(cosine) < _LEAST_COSINE:
-            continue
-        away = abs(float(foot.right_m[0]))
-        if candidate.index == lane:
-            mine = away
-            if candidate.kind == "turn":
-                return lane  # ways through a junction lie upon one another
-        if away > float(np.median(candidate.width_m)) / 2 or candidate.kind == "turn":
-            continue
-        cost = away + (_AGAINST_M if cosine < 0 else 0.0)
-        if cost < nearest:
-            best, nearest = candidate.index, cost
-    return best if best and (lane == NO_LANE or nearest < mine) else lane
+def lanes_at(place_m: F64, way: F64, lane: I64, ruler: Ruler) -> I64:
+    """Return the lane (N,) of places (N, 2) on lines: the nearest that goes that way, else the one it had.
+
+    way: (N, 2) unit vectors across the lines; lane: (N,) that the vehicles had.
+    """
+    found = lane.copy()
+    _lanes_at(
+        place_m, way, found, np.array(ruler.lane, dtype=np.int64), ruler.first, ruler.points_m,
+        ruler.half_width_m, ruler.turn,
+    )  # fmt: skip
+    return found
+
+
+@kernel
+def _lanes_at(  # noqa: PLR0913, PLR0917 - arrays are a kernel's language
+    place: F64, way: F64, found: I64, index: I64, first: I64, points: F64, half_width: F64, turn: Bool
+) -> None:
+    """Write the lane of each place over the one that its vehicle had."""
+    for i in range(len(place)):
+        lane, best, nearest, mine = found[i], NO_LANE, math.inf, math.inf
+        for k in range(len(index)):
+            away, cosine = _beside_lane(place[i], way[i], first[k], first[k + 1], points)
+            if away < 0.0 or abs(cosine) < _LEAST_COSINE:
+                continue
+            if index[k] == lane:
+                mine = away
+                if turn[k]:
+                    best = NO_LANE  # ways through a junction lie upon one another
+                    break
+            if away > half_width[k] or turn[k]:
+                continue
+            cost = away + (_AGAINST_M if cosine < 0.0 else 0.0)
+            if cost < nearest:
+                best, nearest = index[k], cost
+        if best != NO_LANE and (lane == NO_LANE or nearest < mine):
+            found[i] = best
+
+
+@part
+def _beside_lane(place: F64, way: F64, first: int, end: int, points: F64) -> tuple[float, float]:
+    """Return the distance from a lane, -1 beyond its ends, and the cosine of its heading there to a way."""
+    best, where, share = 1e30, first, 0.0
+    for k in range(first, end - 1):
+        ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
+        px, py = place[0] - points[k, 0], place[1] - points[k, 1]
+        square = ex * ex + ey * ey
+        u = (px * ex + py * ey) / square if square > 0.0 else 0.0
+        c = min(max(u, 0.0), 1.0)
+        away = (px - c * ex) ** 2 + (py - c * ey) ** 2
+        if away < best:
+            best, where, share = away, k, u
+    if (where == first and share < 0.0) or (where == end - 2 and share > 1.0):
+        return -1.0, 0.0
+    heading = math.atan2(points[where + 1, 0] - points[where, 0], points[where + 1, 1] - points[where, 1])
+    return math.sqrt(best), math.sin(heading) * way[0] + math.cos(heading) * way[1]
 
 
 def passing_s(length_m: float, speed_mps: float, p: CountParameters) -> float:
@@ -63,7 +99,7 @@ def relabelled(
     blocks: Sequence[MinuteBlock],
     leaders: Sequence[Leader],
     lines: Sequence[Line],
-    lanes: LaneMap,
+    ruler: Ruler,
     p: CountParameters,
 ) -> tuple[tuple[MinuteBlock, ...], tuple[MinuteBlock, ...], tuple[Leader, ...]]:
     """Return the blocks with lanes for crossings that had none, those that are others now, the leaders."""
@@ -73,53 +109,60 @@ def relabelled(
     changed: dict[tuple[str, int, int], MinuteBlock] = {}
     for line_id in sorted({block.line_id for block in blocks} & by_id.keys()):
         mine = [block for block in blocks if block.line_id == line_id]
-        tables = [block.table().copy() for block in mine]
-        fresh = [_with_lanes(table, by_id[line_id], lanes) for table in tables]
-        if any(mask.any() for mask in fresh):
-            _follow_again(mine, tables, fresh, known, p)
-        for block, table, mask in zip(mine, tables, fresh, strict=True):
-            if mask.any():
-                records = table.view(np.uint8).reshape(len(table), -1)
+        table = np.concatenate([block.table() for block in mine])
+        minute = np.repeat([block.minute for block in mine], [len(block.records) for block in mine])
+        fresh = _with_lanes(table, by_id[line_id], ruler)
+        if not fresh.any():
+            continue
+        _follow_again(line_id, minute, table, fresh, known, p)
+        begin = 0
+        for block in mine:
+            end = begin + len(block.records)
+            if fresh[begin:end].any():
+                records = table[begin:end].copy().view(np.uint8).reshape(end - begin, -1)
                 key = (block.line_id, block.minute, block.part)
                 changed[key] = open_blocks[key] = replace(block, records=records)
+            begin = end
     return tuple(open_blocks.values()), tuple(changed.values()), tuple(known.values())
 
 
-def _with_lanes(table: NDArray[np.void], line: Line, lanes: LaneMap) -> NDArray[np.bool_]:
+def _with_lanes(table: NDArray[np.void], line: Line, ruler: Ruler) -> Bool:
     """Write lanes into the records that have none; return which have one now."""
+    rows = np.flatnonzero(table["lane"] == NO_LANE)
+    place = np.column_stack([table["x_m"][rows], table["y_m"][rows]]).astype(np.float64)
+    way = table["direction"][rows, None] * way_across(line, 1)
+    lane = lanes_at(place, way, np.full(len(rows), NO_LANE, dtype=np.int64), ruler)
+    rows, lane = rows[lane != NO_LANE], lane[lane != NO_LANE]
+    table["lane"][rows], table["map_version"][rows] = lane, ruler.version
     fresh = np.zeros(len(table), dtype=np.bool_)
-    for row in np.flatnonzero(table["lane"] == NO_LANE):
-        way = way_across(line, int(table["direction"][row]))
-        lane = lane_at(float(table["x_m"][row]), float(table["y_m"][row]), way, NO_LANE, lanes)
-        if lane != NO_LANE:
-            table["lane"][row], table["map_version"][row], fresh[row] = lane, lanes.version, True
+    fresh[rows] = True
     return fresh
 
 
-def _follow_again(
-    blocks: Sequence[MinuteBlock],
-    tables: Sequence[NDArray[np.void]],
-    fresh: Sequence[NDArray[np.bool_]],
+def _follow_again(  # noqa: PLR0913, PLR0917 - a line's records and whom they follow
+    line_id: str,
+    minute: I64,
+    table: NDArray[np.void],
+    fresh: Bool,
     leaders: dict[tuple[str, int, int], Leader],
     p: CountParameters,
 ) -> None:
     """Write headways and gaps of records that have a lane now, and the last of each lane into `leaders`."""
-    rows = [
-        (block.minute * MINUTE_US + int(record["time_us"]) - round(passing / 2 * 1e6), passing, k, i)
-        for k, (block, table) in enumerate(zip(blocks, tables, strict=True))
-        for i, record in enumerate(table)
-        for passing in (passing_s(float(record["length_m"]), float(record["speed_mps"]), p),)
-        if record["lane"] != NO_LANE
-    ]
+    names = ("time_us", "length_m", "speed_mps", "lane", "direction")
+    columns = (minute.tolist(), *(table[name].tolist() for name in names))
+    rows = []
+    for i, (at, time_us, length_m, speed_mps, lane, direction) in enumerate(zip(*columns, strict=True)):
+        if lane != NO_LANE:
+            passing = passing_s(length_m, speed_mps, p)
+            rows.append((at * MINUTE_US + time_us - round(passing / 2 * 1e6), passing, i, lane, direction))
     before: dict[tuple[str, int, int], Leader] = {}
-    for front_us, passing, k, i in sorted(rows):
-        record = tables[k][i]
-        key = (blocks[k].line_id, int(record["lane"]), int(record["direction"]))
+    for front_us, passing, i, lane, direction in sorted(rows):
+        key = (line_id, lane, direction)
         leader = before.get(key)
-        if fresh[k][i] and leader is not None and front_us > leader.front_us:
+        if fresh[i] and leader is not None and front_us > leader.front_us:
             headway_s = (front_us - leader.front_us) / 1e6
-            record["headway_s"] = round(headway_s, DECIMALS)
-            record["gap_s"] = round(headway_s - leader.passing_s, DECIMALS)
+            table["headway_s"][i] = round(headway_s, DECIMALS)
+            table["gap_s"][i] = round(headway_s - leader.passing_s, DECIMALS)
         before[key] = Leader(*key, front_us, passing)
     for key, leader in before.items():
         if key not in leaders or leaders[key].front_us < leader.front_us:

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from service.traffic.cells import ruler_of
 from service.traffic.counting import count, nothing_counted
-from service.traffic.crossing_lanes import lane_at, way_across
+from service.traffic.crossing_lanes import lanes_at, way_across
 from service.traffic.lines import Line
 from service.traffic.model import NO_LANE, NO_MAP, Lane, LaneMap, Moment
 from tests.traffic.test_crossings import SETUP, approach, drive, merged
@@ -18,6 +19,11 @@ def lane(index, x_m, *, backwards=False, kind="lane"):
     y = np.arange(150.0, 10.0, -2.0)
     points = np.column_stack([np.full(len(y), x_m), y])[:: -1 if backwards else 1]
     return Lane(index, f"L{index}", kind, "approaching", points, np.full(len(y), 3.5), 1.0, 20)
+
+
+def lane_at(x_m, y_m, way, before, lanes):
+    place, ruler = np.array([[x_m, y_m]]), ruler_of(lanes, 10.0)
+    return int(lanes_at(place, way[None], np.array([before]), ruler)[0])
 
 
 LANES = LaneMap(1, START_US, 1, 40, "learned", (lane(1, -1.75), lane(2, 1.75)))
