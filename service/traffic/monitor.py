@@ -125,15 +125,13 @@ def _trace_back(
     state: TrafficState, before: Mapping, now_us: int, p: TrafficParameters
 ) -> tuple[TrafficState, LaneMap, tuple[LaneChange, ...], tuple[LaneChange, ...]]:
     """Judge by a new map what was seen before it: vehicles that have gone, and those still there."""
-    gone = [path.samples for path in before.backlog]
+    gone = join(tuple(path.samples for path in before.backlog))
     past = join((state.paths.past, *state.paths.recent))
     version = state.map.version
-    found: list[LaneChange] = []
-    for samples in gone:
-        passing = no_vehicles(np.unique(samples.number))
-        found += retrace(passing, samples, state.chart, version, p.assignment)[1]
-        found += unfinished(passing, now_us, version, p.assignment)
-    told = judged(found, join((*gone, past)), state.map, now_us, p.changes)
+    passing = no_vehicles(np.unique(gone.number))
+    found = retrace(passing, gone, state.chart, version, p.assignment)[1]
+    found += unfinished(passing, now_us, version, p.assignment)
+    told = judged(found, join((gone, past)), state.map, now_us, p.changes)
     vehicles = _unjudged(aligned(state.vehicles, state.paths.number))
     here: Samples = retraced(past, state.paths.number)
     lane, coming = retrace(vehicles, here, state.chart, version, p.assignment)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.traffic.change_evidence import ChangeParameters, probability, traits_of
+from service.traffic.change_evidence import ChangeParameters, depth, probability, traits_of
 from service.traffic.changes import confirm, no_changes
 from service.traffic.model import Lane, LaneChange, LaneMap, Samples, Trajectory
 from service.traffic.paths import no_paths
@@ -113,3 +113,11 @@ def test_a_change_of_a_track_that_ends_is_judged_by_what_was_seen():
     assert len(state.ended) == 1
     state, _ = confirm(state, (), no_paths(), (), LANES, START_US + 6_000_000, P)
     assert state.ended == ()
+
+
+def test_the_depth_is_numpys_quantile_to_the_bit():
+    rng = np.random.default_rng(3)
+    for count in range(1, 60):
+        past_m = rng.normal(size=count)
+        assert depth(past_m) == float(np.quantile(past_m, 0.9))
+    assert depth(np.zeros(0)) == 0.0
