@@ -79,8 +79,11 @@ def _covered(
     for i in range(len(heading)):
         s, c = math.sin(heading[i]), math.cos(heading[i])
         half_length, half_width = 0.5 * length[i] + along, 0.5 * width[i]
+        reach = max(half_length, centre) + half_width + max(across, like_across)
         for k in range(len(x_m)):
             dx, dy = x_m[k] - mean[i, 0], y_m[k] - mean[i, 3]
+            if out[k] or abs(dx) > reach or abs(dy) > reach:
+                continue  # most are
             u, w = abs(s * dx + c * dy), abs(c * dx - s * dy)
             g = max(math.hypot(x_m[k], y_m[k]), 1e-6)
             like = abs((x_m[k] * mean[i, 1] + y_m[k] * mean[i, 4]) / g - rate[k]) < like_mps

@@ -212,16 +212,17 @@ def _emit(
     """Return what stays pending, and the crossings that are behind their line, fitted and no ghost's."""
     p, v = view.parameters, joined.vehicles
     rows = dict(zip(v.number.tolist(), range(len(v)), strict=True))
+    last_us, first_us, fit_us = v.last_us, v.first_us, round(p.fit_s * 1e6)
     kept, done = [], []
     for x in pending:
         row = rows.get(x.number)
         if row is None:
             continue  # lost before it was certain
-        states.counted[row, x.line] |= x.passed
-        if x.fitted is None and view.time_us - x.time_us >= round(p.fit_s * 1e6):
+        if x.passed:
+            states.counted[row, x.line] = True
+        if x.fitted is None and view.time_us - x.time_us >= fit_us:
             x = replace(x, fitted=_fit(x, view))  # noqa: PLW2901 - the same one, further on
-        life_s = int(v.last_us[row] - v.first_us[row]) / 1e6
-        if x.fitted is None or not x.passed or life_s < p.least_life_s:
+        if x.fitted is None or not x.passed or int(last_us[row] - first_us[row]) / 1e6 < p.least_life_s:
             kept.append(x)
         elif x.fitted.probability >= p.least_existence:
             older = _older(v, row, p)

@@ -9,6 +9,9 @@ import numpy as np
 
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, Bool
+from service.traffic.steps import Steps
+
+_STEP_WORK = 300_000  # pairs of a point and a piece of a curve: less than a millisecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,20 @@ def beside(points_m: F64, curve_m: F64) -> Beside:
     """Return where points (N, 2) stand beside a curve (P, 2)."""
     place = np.empty((4, len(points_m)))
     _feet(np.ascontiguousarray(points_m), np.ascontiguousarray(curve_m), along(curve_m), place)
+    return Beside(place[0], place[1], place[2], place[3] > 0)
+
+
+def beside_in_steps(points_m: F64, curve_m: F64) -> Steps[Beside]:
+    """Return where points (N, 2) stand beside a curve (P, 2), as `beside` does."""
+    length, points, curve = along(curve_m), np.ascontiguousarray(points_m), np.ascontiguousarray(curve_m)
+    place = np.empty((4, len(points)))
+    share = max(_STEP_WORK // len(curve), 1)
+    for begin in range(0, len(points), share):
+        part = points[begin : begin + share]
+        feet = np.empty((4, len(part)))
+        _feet(part, curve, length, feet)
+        place[:, begin : begin + share] = feet
+        yield len(part) * len(curve)
     return Beside(place[0], place[1], place[2], place[3] > 0)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.tracking.model import F64, I64, Bool
-from service.traffic.curves import along, at, beside
+from service.traffic.curves import along, at, beside, beside_in_steps
 from service.traffic.evidence import Evidence
 from service.traffic.junctions import JunctionParameters, pieces
 from service.traffic.lane_lines import Line, LineParameters, lane_lines, offsets
@@ -67,12 +67,11 @@ def learn(evidence: Evidence, p: LearningParameters) -> Steps[list[Learned]]:
             break
         index = np.flatnonzero(left)
         curve = yield from course(points[index], heading[index], points[leader], p.reference)
-        place = beside(points[index], curve)
+        place = yield from beside_in_steps(points[index], curve)
         mine = follows(place, heading[index], p.reference)
         left[leader] = False
         left[index[mine]] = False
         mine_at = index[mine]
-        yield len(index) * len(curve)
         lanes += yield from _lanes_beside(
             curve, evidence.path[mine_at], place.along_m[mine], place.right_m[mine], p
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.model import F64, Bool
-from service.traffic.curves import Beside, along, beside, headings, resample, wrap
+from service.traffic.curves import Beside, along, beside_in_steps, headings, resample, wrap
 from service.traffic.lane_lines import smoothed
 from service.traffic.steps import Steps
 
@@ -37,6 +37,9 @@ def follows(place: Beside, heading_rad: F64, p: ReferenceParameters) -> Bool:
     return np.asarray(~place.beyond & near & (angle < math.radians(p.parallel_deg)))
 
 
+_SORT_WORK = 40  # to sort a point by place and angle
+
+
 def course(points_m: F64, heading_rad: F64, leader_m: F64, p: ReferenceParameters) -> Steps[F64]:
     """Return the course (K, 2) of the road along which the leader path (P, 2) drives.
 
@@ -44,12 +47,12 @@ def course(points_m: F64, heading_rad: F64, leader_m: F64, p: ReferenceParameter
     """
     curve = _extended(resample(leader_m, p.step_m), p)
     for _ in range(p.rounds):
-        place = beside(points_m, curve)
+        place = yield from beside_in_steps(points_m, curve)
         mine = follows(place, heading_rad, p)
         if not mine.any():
             return curve
         curve = _turned(curve, place, heading_rad, mine, p)
-        yield len(points_m) * len(curve)
+        yield len(points_m) * _SORT_WORK
     return curve
 
 
