@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from service.traffic.curves import beside
+from service.traffic.curves import beside_in_steps
 from service.traffic.drift import Drift, DriftParameters, judge, no_drift
 from service.traffic.evidence import Evidence, EvidenceParameters, add, latest, no_evidence
 from service.traffic.identity import IdentityParameters, difference, gone_with, named
@@ -99,7 +99,7 @@ class Given:
 
 # How far each study has come, as long as somebody holds it. It saves work and changes no answer: the steps
 # of a study that is not found, such as one read from a snapshot, are taken again.
-_UNDER_WAY: WeakKeyDictionary[Study, Progress[tuple[Lane, ...]]] = WeakKeyDictionary()
+_UNDER_WAY: WeakKeyDictionary[Study, Progress[tuple[Lane, ...] | None]] = WeakKeyDictionary()
 
 
 def no_mapping() -> Mapping:
@@ -139,21 +139,28 @@ def begin(mapping: Mapping, moment: Moment, given: Given, p: Learning, digest: s
 
 def _study(mapping: Mapping, study: Study, moment: Moment, p: Learning) -> Mapping:
     """Return the state after a few more steps, and with the map that has been learned when it is due."""
-    progress = _UNDER_WAY.pop(study, None) or Progress(
-        lanes_in_steps(study.evidence, study.before, study.gone, p)
-    )
+    first = not mapping.map.version
+    progress = _UNDER_WAY.pop(study, None) or Progress(_new_lanes(study, p, first=first))
     if mapping.frames < study.due:
         progress.go_on((mapping.frames - study.begun) * p.mapping.work_a_frame)
         _UNDER_WAY[study] = progress
         return mapping
     lanes = progress.answer()
     mapping = replace(mapping, study=None)
+    return mapping if lanes is None else _in_force(mapping, moment, lanes, "learned")
+
+
+def _new_lanes(study: Study, p: Learning, *, first: bool) -> Steps[tuple[Lane, ...] | None]:
+    """Return the lanes that a study finds; None where they are as before, or too few for a first map."""
+    lanes = yield from lanes_in_steps(study.evidence, study.before, study.gone, p)
     if not difference(study.before, lanes, p.identity):
-        return mapping
-    wanted = 0.0 if mapping.map.version else _wanted_cover(study.evidence, p.mapping)
-    if wanted and covered(study.evidence, lanes, p.mapping.near_m) < wanted:
-        return mapping
-    return _in_force(mapping, moment, lanes, "learned")
+        return None
+    if first:
+        wanted = _wanted_cover(study.evidence, p.mapping)
+        share = yield from covered(study.evidence, lanes, p.mapping.near_m)
+        if share < wanted:
+            return None
+    return lanes
 
 
 def _in_force(mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source: str) -> Mapping:
@@ -231,12 +238,12 @@ def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters,
     return replace(mapping, learned_paths=come, study=study)
 
 
-def covered(evidence: Evidence, lanes: tuple[Lane, ...], near_m: float) -> float:
+def covered(evidence: Evidence, lanes: tuple[Lane, ...], near_m: float) -> Steps[float]:
     """Return the share of the points of the evidence that lie in a lane."""
     points = np.column_stack([evidence.x_m, evidence.y_m]).astype(np.float64)
     inside = np.zeros(len(points), dtype=np.bool_)
     for lane in lanes:
-        place = beside(points, lane.points_m)
+        place = yield from beside_in_steps(points, lane.points_m)
         inside |= np.abs(place.right_m) < near_m
     return float(inside.mean()) if len(inside) else 0.0
 
