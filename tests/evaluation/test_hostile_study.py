@@ -24,6 +24,11 @@ def test_a_track_that_ran_away_under_an_undamped_acceleration_stays_sound():
     assert endure(make_filter("astekf-paper"), 12_000, 207).sound
 
 
+def test_tracks_over_the_radar_keep_their_covariance_definite():
+    # rounding made four of these scans indefinite (least eigenvalue of a correlation -0.0008)
+    assert endure(make_filter("ekf"), 100_000, 61).sound
+
+
 @dataclasses.dataclass(frozen=True)
 class Broken(Ekf):
     """A filter that subtracts where it should not, now and then."""

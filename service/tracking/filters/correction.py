@@ -104,7 +104,8 @@ def correct(
     B = sum w_j [S_j^-1 R_j S_j^-1 + (S_j^-1 - A) H P H' (S_j^-1 - A)]
     C = sum beta_j y_j y_j' - d d'
     The bracket is the mean of the updated covariances in Joseph form, the last term the spread of the updated
-    means. Every term is positive semidefinite as computed, so P stays positive definite.
+    means. Every term is positive semidefinite; where rounding is larger than what is left of a variance,
+    some of the prediction is mixed in, so that P stays positive definite (`keep_definite`).
     """
     i, r = innovations, rejection
     mean, cov, count = np.empty_like(prediction.mean), np.empty_like(prior), np.empty_like(r.count)

@@ -13,6 +13,8 @@ from service.tracking.measurement import AZIMUTH, CHANNELS
 from service.tracking.model import F64, Bool
 from service.tracking.motion import STATES
 
+LEAST_PIVOT = 1e-12  # of a correlation matrix that rounding has left positive definite
+MIXED = 1e-6  # share of the prediction's covariance that is tried first where rounding has not
 BALANCED = -1  # in place of the number of the first track whose probabilities do not add up to one
 
 
@@ -110,6 +112,34 @@ def invert_measured(S: F64, measured: Bool, L: F64, inverse: F64) -> None:
             for k in range(a, CHANNELS):
                 value += L[k, a] * L[k, b]
             inverse[a, b] = inverse[b, a] = value
+
+
+@part
+def keep_definite(cov: F64, predicted: F64, L: F64) -> None:
+    """Mix as much of the predicted covariance into cov as makes it positive definite; L (n, n) is for work.
+
+    Every term of the update is semidefinite, but not its rounding: next to the radar an azimuth tells a
+    position to nanometres, and what is left of a variance is smaller than what rounding adds. Mostly cov
+    stays as it is: the pivots of the Cholesky factor of its correlations are above LEAST_PIVOT.
+    """
+    share = MIXED
+    while share < 2.0:
+        definite = True
+        for i in range(len(cov)):
+            for k in range(i + 1):
+                value = cov[i, k]
+                for m in range(k):
+                    value -= L[i, m] * L[k, m]
+                if k < i:
+                    L[i, k] = value / L[k, k]
+            definite = definite and value > 0.0 and value > LEAST_PIVOT * cov[i, i]
+            L[i, i] = np.sqrt(value) if definite else 1.0
+        if definite:
+            return
+        for i in range(len(cov)):
+            for k in range(len(cov)):
+                cov[i, k] = max(0.0, 1.0 - share) * cov[i, k] + min(share, 1.0) * predicted[i, k]
+        share *= 10.0
 
 
 @kernel
@@ -212,3 +242,4 @@ def correct_bank(
                     left[i, k] -= gain * H[t, b, k]
         add_congruence(cov[t], weight, left, prior[t], row)
         add_congruence(cov[t], 1.0, PHt, B, row)
+        keep_definite(cov[t], predicted[t], left)

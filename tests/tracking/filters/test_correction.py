@@ -7,6 +7,7 @@ import pytest
 
 from service.errors import InvalidInput
 from service.tracking.filters.base import Prediction
+from service.tracking.filters.correction_kernels import keep_definite
 from service.tracking.filters.ekf import Ekf
 from service.tracking.filters.parameters import EkfParameters
 from service.tracking.measurement import innovation, jacobian, predict_measurement
@@ -144,3 +145,20 @@ def test_shapes_that_do_not_fit_are_refused():
 
     with pytest.raises(InvalidInput, match="want z"):
         PLAIN.update(prediction, z, own_R, np.full((2, 1), 1.0), np.zeros(2))
+
+
+def test_rounding_that_costs_definiteness_is_made_good_from_the_prediction():
+    rng = np.random.default_rng(5)
+    spread = rng.normal(size=(6, 6))
+    predicted = spread @ spread.T + np.eye(6)
+    sound = 0.5 * predicted
+    lost = sound - 1.001 * np.linalg.eigvalsh(sound)[0] * np.eye(6)
+    negative = sound.copy()
+    negative[2, 2] = -1e-9
+    for cov, changes in ((sound, False), (lost, True), (negative, True)):
+        kept = cov.copy()
+        keep_definite.py_func(kept, predicted, np.empty((6, 6)))
+
+        assert np.array_equal(kept, kept.T)
+        assert np.linalg.eigvalsh(kept)[0] > 0.0
+        assert np.array_equal(kept, cov) is not changes
