@@ -5,8 +5,8 @@
 
 Three phases: posts alone; with the readers; with the readers while a sensor's stored states are exported.
 Ten sensors post 100 points at 20 Hz; a stream carries five views a second, a long poll asks five times a
-second. Readers and export run in processes of their own. "delay" is from the host's receipt of the frame to
-the reader.
+second; the streams are open before the posts begin, and the polls are not in step. Readers and export run in
+processes of their own. "delay" is from the host's receipt of the frame to the reader.
 """
 
 from __future__ import annotations
@@ -86,17 +86,27 @@ def fill(folder: Path, rows: int) -> int:
 
 
 def run_readers(port: int, options: argparse.Namespace, line: Connection) -> None:
-    line.send(("ready", {}))
-    line.recv()
-    line.send(("readers", asyncio.run(_readers(port, options, options.seconds))))
+    line.send(("readers", asyncio.run(_readers(port, options, line))))
 
 
-async def _readers(port: int, options: argparse.Namespace, seconds: float) -> dict[str, object]:
+async def _readers(port: int, options: argparse.Namespace, line: Connection) -> dict[str, object]:
+    """Open the streams, say so, and read from the word on; nobody is in step with another."""
     names = [f"radar-{n}" for n in range(options.sensors)]
+    seconds = options.seconds
+    streams = []
+    for k in range(options.streams):
+        client = Client(port)
+        streams.append((client, await client.stream(f"/api/v1/sensors/{names[k % len(names)]}/live/stream")))
+    line.send(("ready", {}))
+    await asyncio.to_thread(line.recv)
     until_s = time.monotonic() + seconds
-    streams = [_stream(port, names[k % len(names)], until_s) for k in range(options.streams)]
-    polls = [_poll(port, names[k % len(names)], until_s) for k in range(options.polls)]
-    found = await asyncio.gather(*streams, *polls)
+    found = await asyncio.gather(
+        *(_stream(client, reader, until_s) for client, reader in streams),
+        *(
+            _poll(port, names[k % len(names)], until_s, k / options.polls / VIEWS_HZ)
+            for k in range(options.polls)
+        ),
+    )
     streamed, polled = found[: options.streams], found[options.streams :]
     return {
         "streams": _summary(streamed, seconds),
@@ -122,9 +132,7 @@ def _delay_s(body: bytes) -> float:
     return time.time() - parse_time_us(body[at : at + 24].decode()) / 1e6
 
 
-async def _stream(port: int, name: str, until_s: float) -> dict[str, object]:
-    client = Client(port)
-    reader = await client.stream(f"/api/v1/sensors/{name}/live/stream")
+async def _stream(client: Client, reader: asyncio.StreamReader, until_s: float) -> dict[str, object]:
     delays, missed = [], 0
     while (left_s := until_s - time.monotonic()) > 0:
         try:
@@ -138,8 +146,9 @@ async def _stream(port: int, name: str, until_s: float) -> dict[str, object]:
     return {"delays_s": delays, "missed": missed}
 
 
-async def _poll(port: int, name: str, until_s: float) -> dict[str, object]:
+async def _poll(port: int, name: str, until_s: float, shift_s: float) -> dict[str, object]:
     client, version, delays = Client(port), 0, []
+    await asyncio.sleep(shift_s)
     while (begun_s := time.monotonic()) < until_s:
         _, body = await client.ask("GET", f"/api/v1/sensors/{name}/live?after={version}&wait=5")
         version = orjson.loads(body)["version"]
