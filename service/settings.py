@@ -55,6 +55,7 @@ class Settings(BaseSettings):
 
     log_limit_bytes: PositiveBytes = ByteSize(2 * 2**30)  # of all sensors together; the oldest segments go
     log_segment_bytes: PositiveBytes = ByteSize(256 * 2**20)
+    untracked_hours: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 24.0  # of a sensor that failed
     disk_free_min_share: Annotated[float, Field(ge=0, lt=1)] = 0.05  # below it frames get 503
 
     # Processes that track beside the serving one; 0: in the serving process itself. None: 1, or 0 on a

@@ -103,6 +103,9 @@ class Telemetry:
 
         self.lag = gauge("lag_seconds", "Wait of the oldest frame logged and not folded.", "sensor_id")
         self.unstored = gauge("unstored_frames", "Frames folded and not stored yet.", "sensor_id")
+        self.waiting_bytes = gauge(
+            "waiting_log_bytes", "In the log, of frames that are not folded.", "sensor_id"
+        )
         self.frame_age = gauge("frame_age_seconds", "Since the newest folded frame came.", "sensor_id")
         self.stored_age = gauge("stored_age_seconds", "Since rows were stored last.", "sensor_id")
         self.log_bytes = gauge("log_bytes", "Size of the frame log.")

@@ -237,6 +237,7 @@ HEALTH: Final = {
             "queue_depth": 0,
             "lag_s": 0.0,
             "unstored_frames": 12,
+            "waiting_log_bytes": 0,
         }
     ],
     "tracker_processes": [{"running": True, "restarts": 0, "sensors": 1}],
@@ -365,6 +366,7 @@ RESPONSES: Final[dict[str, object]] = {
     "list_keys": _page(KEY_REPLY),
     "read_audit": _page(ACT),
     "purge_sensor": {"sensor_id": "radar-1", "rows": {"tracks": 18204, "track_states": 220115}},
+    "restart_sensor": {"sensor_id": "radar-1", "skipped": 72000},
     "read_session": SESSION,
     "open_session": SESSION,
     "live": {"status": "ok"},

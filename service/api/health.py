@@ -130,6 +130,7 @@ def _sensor(sensor: SensorHealth) -> SensorHealthReply:
         queue_depth=sensor.queue_depth,
         lag_s=round(sensor.lag_s, 3),
         unstored_frames=sensor.unstored_frames,
+        waiting_log_bytes=sensor.waiting_bytes,
     )
 
 

@@ -237,6 +237,16 @@ class SensorHealthReply(BaseModel):
     queue_depth: int = Field(description="records that are logged and not tracked yet")
     lag_s: float = Field(description="how long the oldest of them has waited since it was received")
     unstored_frames: int = Field(description="frames that are tracked and not stored yet")
+    waiting_log_bytes: int = Field(
+        description="what the log holds of frames that are not tracked yet; bounded for a sensor that failed"
+    )
+
+
+class RestartReply(BaseModel):
+    """What a restart of a sensor's tracker leaves out."""
+
+    sensor_id: str
+    skipped: int = Field(description="records of the log that are left untracked")
 
 
 class StorageReply(BaseModel):

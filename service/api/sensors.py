@@ -27,6 +27,7 @@ from service.api.schemas import (
     JsonObject,
     Page,
     PurgeReply,
+    RestartReply,
     SensorInput,
     SensorReply,
     SiteInput,
@@ -169,6 +170,23 @@ def purge_sensor(sensor_id: SensorPath, services: ServicesDep, caller: AdminKey)
     with session_scope(services.engine) as writer:
         _note(writer, caller, "sensor.purged", sensor_id, {"rows": rows})
     return PurgeReply(sensor_id=sensor_id, rows=rows)
+
+
+@router.post("/sensors/{sensor_id}:restart", tags=["sensors"])
+def restart_sensor(
+    sensor_id: SensorPath,
+    services: ServicesDep,
+    caller: AdminKey,
+    *,
+    skip: Annotated[
+        bool, Query(description="leave untracked what waits in the log, and begin behind it with no track")
+    ] = False,
+) -> RestartReply:
+    """Track a sensor again whose tracker failed, from the record at which it did, or from now on."""
+    skipped = services.host.restart(sensor_id, skip=skip)
+    with session_scope(services.engine) as writer:
+        _note(writer, caller, "sensor.restarted", sensor_id, {"skipped": skipped})
+    return RestartReply(sensor_id=sensor_id, skipped=skipped)
 
 
 def _register(services: Services, body: SensorInput, config: SensorConfig, caller: Caller) -> store.Sensor:

@@ -83,6 +83,25 @@ def show(
 
 @app.command()
 @one_sentence()
+def restart(
+    sensor_id: SensorId,
+    *,
+    skip: Annotated[
+        bool, typer.Option("--skip", help="Leave untracked what waits in the log; begin behind it.")
+    ] = False,
+    url: options.Url = options.DEFAULT_URL,
+    key: options.Key = None,
+) -> None:
+    """Track a sensor again whose tracker failed."""
+    from service.cli.client import Client
+
+    with Client(url, key) as client:
+        done = client.request("POST", f"/sensors/{sensor_id}:restart?skip={str(skip).lower()}")
+    typer.echo(f"Sensor {sensor_id} is tracked again; {done['skipped']} records are left out.")
+
+
+@app.command()
+@one_sentence()
 def remove(
     sensor_id: SensorId,
     *,

@@ -9,6 +9,7 @@ from enum import IntEnum
 from service.errors import StorageError, WaysideError
 from service.formats.columnar import decode_frame, encode_frame
 from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, Record, TickRecord
+from service.tracking.model import Frame
 
 _HEAD = struct.Struct("<IBq")  # checksum of all that follows, kind, time (received_us, or a tick's time_us)
 _CHECKSUM = struct.Struct("<I")
@@ -33,6 +34,11 @@ def encode_record(record: Record) -> bytes:
             raise StorageError(f"a damaged record is not written: {record.reason}")
     data = _HEAD.pack(0, kind, time_us) + body
     return _CHECKSUM.pack(zlib.crc32(data[_CHECKSUM.size :])) + data[_CHECKSUM.size :]
+
+
+def logged_bytes(frame: Frame) -> int:
+    """Return what a frame takes in the log, but for the lengths of its ids."""
+    return 64 + 16 * len(frame)
 
 
 def record_time_us(data: bytes) -> int:

@@ -77,8 +77,7 @@ class Door:
             # Earlier frames that the log refused stand in `found.order`: they must not.
             doorway.durable_door = _passed(doorway.durable_door, found.records)
             doorway.door = _passed(doorway.door, found.records)
-        if positions[-1] > doorway.folded:  # else the tracker was quicker
-            doorway.waiting.append((positions[-1], received_us))
+        doorway.expect(positions[-1], received_us, (record.frame for record in found.records))
         self._durable.observe(time.perf_counter() - started_s)
         return found.results
 

@@ -19,7 +19,7 @@ from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import Unavailable, WaysideError
-from service.pipeline.channel import Channel, Restart
+from service.pipeline.channel import Channel, Reopening, Restart, open_channel
 from service.pipeline.flushing import settle, store
 from service.pipeline.fold import TICK_US, step
 from service.pipeline.fold_state import Folded, FoldOutput, S, Tracker
@@ -32,6 +32,7 @@ from service.tracking.model import TrackStatus
 
 _log = structlog.get_logger(__name__)
 
+EXPIRED = "expired"  # the fate of frames that were never tracked
 TURN_RECORDS = 4  # of one sensor before the next has its turn
 PARTS = 5  # transactions over which the sensors are spread within the interval of flushes
 IDLE_S = 0.1  # longest wait without news: a tenth of what ticks and flushes are apart
@@ -95,10 +96,24 @@ class Folding(Generic[S]):
         with self._guard:
             self.channels = {**self.channels, channel.sensor_id: channel}
 
+    def take_in_again(self, channel: Channel[S]) -> None:
+        """Take in a sensor that may have failed before."""
+        self.add(channel)
+        if channel.skipped:
+            self._telemetry.frames.labels(channel.sensor_id, EXPIRED).inc(channel.skipped)
+
+    def reopen(self, sensor_id: str, reopening: Reopening) -> bool:
+        """Have a sensor's state found again at the next turn; from any thread. False: it is not here."""
+        channel = self.channels.get(sensor_id)
+        if channel is not None:
+            channel.reopening = reopening
+        return channel is not None
+
     def take_turns(self) -> bool:
         """Fold a few records of each sensor, store what is due, and return whether there were any."""
         worked = [self._turn(channel) for channel in self.channels.values()]
         self._flush_if_due()
+        self._reopen()
         self._let_go()
         return any(worked)
 
@@ -121,14 +136,10 @@ class Folding(Generic[S]):
                 self._fold(channel, position, record)
         except Exception as error:  # noqa: BLE001 - the edge of one sensor: the others go on
             _log.exception("sensor failed", sensor_id=channel.sensor_id, position=channel.state.position + 1)
-            self._fail(channel, f"record {channel.state.position + 1}: {type(error).__name__}: {error}")
+            channel.failure = f"record {channel.state.position + 1}: {type(error).__name__}: {error}"
             self._place.end()
             return False
         return bool(records)
-
-    def _fail(self, channel: Channel[S], reason: str) -> None:
-        channel.failure = reason
-        self._telemetry.failed.labels(channel.sensor_id).set(1)
 
     def _fold(self, channel: Channel[S], position: int, record: Record) -> None:
         started_s = time.perf_counter()
@@ -245,7 +256,7 @@ class Folding(Generic[S]):
             if len(sound) == 1:
                 _log.exception("sensor let go", sensor_id=sound[0].sensor_id)
                 sound[0].rows.clear()
-                self._fail(sound[0], str(error))
+                sound[0].failure = str(error)
                 return False
             # One sensor's rows do not go in: those of the others shall.
             stored = [self._flush([channel], snapshots=snapshots) for channel in sound]
@@ -273,6 +284,32 @@ class Folding(Generic[S]):
             settle(item, now_us=now_us, now_s=time.monotonic())
             if item.snapshot_position is not None:
                 self._frame_log.release(item.channel.sensor_id, item.snapshot_position)
+
+    def _reopen(self) -> None:
+        """Find the state of sensors again that are to be tracked once more."""
+        for channel in list(self.channels.values()):
+            wanted = channel.reopening
+            if wanted is None or (channel.rows and not self._flush([channel]) and channel.rows):
+                continue  # rows of before the failure go first, at the next turn when the database is gone
+            channel.reopening = None
+            try:
+                fresh = open_channel(
+                    self._database,
+                    self._frame_log,
+                    wanted.config,
+                    self._tracker,
+                    now_us=self._clock_us(),
+                    now_s=time.monotonic(),
+                    anew=wanted.anew,
+                )
+            except (WaysideError, SQLAlchemyError) as error:
+                _log.exception("sensor not taken in again", sensor_id=channel.sensor_id)
+                channel.failure = str(error)
+                continue
+            fresh.number, fresh.leaving = channel.number, channel.leaving
+            self.take_in_again(fresh)
+            entry = LiveEntry(channel.sensor_id, fresh.state.position, fresh.state.epoch)
+            self._audience.show(entry, frame=False)
 
     def _let_go(self) -> None:
         """Take out the sensors that are leaving, once all that is theirs is stored."""

@@ -13,7 +13,7 @@ from service.pipeline.channel import Doorway, Standing
 from service.pipeline.clocks import ClockReport
 from service.pipeline.live import LiveState, LiveView
 from service.pipeline.sqlite_log import SqliteLog
-from service.pipeline.tracker_processes import ProcessHealth
+from service.pipeline.tracker_member import ProcessHealth
 from service.storage.database import file_bytes
 from service.storage.oldest import KINDS
 from service.telemetry import Telemetry
@@ -37,6 +37,7 @@ class SensorHealth:
     stored_age_s: float | None  # since rows were stored last
     lag_s: float  # how long the oldest frame that is logged and not folded has waited; 0: none waits
     unstored_frames: int  # folded, and not stored yet
+    waiting_bytes: int  # in the log, of frames that are not folded
     clock: ClockReport  # the sensor's clock against the host's
 
     @property
@@ -97,6 +98,7 @@ def sensor_health(
         stored_age_s=_age_s(now_us, standing.stored_us),
         lag_s=_age_s(now_us, doorway.oldest_waiting_us()) or 0.0,
         unstored_frames=standing.unstored_frames,
+        waiting_bytes=doorway.waiting_bytes,
         clock=doorway.clock.report(),
     )
 
@@ -144,8 +146,10 @@ def show(health: HostHealth, telemetry: Telemetry) -> None:
     for kind in KINDS:
         telemetry.rows_oldest_age.labels(kind).set(storage.oldest_age_s.get(kind, 0.0))
     for sensor in health.sensors:
+        telemetry.failed.labels(sensor.sensor_id).set(sensor.failure is not None)
         telemetry.queue.labels(sensor.sensor_id).set(sensor.queue_depth)
         telemetry.lag.labels(sensor.sensor_id).set(sensor.lag_s)
+        telemetry.waiting_bytes.labels(sensor.sensor_id).set(sensor.waiting_bytes)
         telemetry.unstored.labels(sensor.sensor_id).set(sensor.unstored_frames)
         telemetry.show_clock(sensor.sensor_id, sensor.clock.skew_s, sensor.clock.jitter_s)
         for gauge, age_s in (

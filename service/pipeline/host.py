@@ -23,10 +23,11 @@ from service.pipeline.live import LiveEntry, LiveView
 from service.pipeline.nursery import Nursery
 from service.pipeline.order import flush
 from service.pipeline.records import ControlRecord, FrameRecord
-from service.pipeline.sqlite_log import LogLimits, SqliteLog
+from service.pipeline.sqlite_log import LogLimits, SqliteLog, share_of_log
 from service.pipeline.tracker_process import pace_of, wait_for_orphans
 from service.pipeline.tracker_processes import TrackerProcesses
 from service.pipeline.tracker_thread import Readers, TrackerThread
+from service.pipeline.untracked import Allowance, Untracked
 from service.settings import Settings
 from service.storage.database import connection as reading
 from service.storage.sites import Sensor, list_sensors
@@ -73,6 +74,7 @@ class EmbeddedHost:
         self._frame_log: SqliteLog | None = None
         self._door: Door | None = None
         self._trackers: TrackerThread[Any] | TrackerProcesses | None = None
+        self._untracked: Untracked | None = None
         self._keeping = Keeping(database, settings, clock_us)
         self.ready = False
 
@@ -88,7 +90,7 @@ class EmbeddedHost:
             segment_bytes=self._settings.log_segment_bytes,
             free_share=self._settings.disk_free_min_share,
         )
-        self._frame_log = SqliteLog(self._settings.log_dir, limits, on_durable=self._on_durable)
+        self._frame_log = SqliteLog(self._settings.log_dir, limits, self._on_durable, self._given_up)
         wait_for_orphans(self._settings.log_dir)
         self._door = Door(self._frame_log, self.telemetry, self._settings.clock_ahead_limit_s)
         self._trackers = self._make_trackers(self._frame_log)
@@ -96,8 +98,16 @@ class EmbeddedHost:
             self.configure(sensor)
         for sensor_id in self._frame_log.sensors() - self._doorways.keys():
             self._frame_log.release(sensor_id, self._frame_log.last_position(sensor_id))
+        self._untracked = Untracked(
+            self._frame_log,
+            self._trackers,
+            lambda: self._doorways,
+            Allowance(share_of_log(limits), round(self._settings.untracked_hours * 3_600_000_000)),
+            self._clock_us,
+        )
         self._trackers.start()
         self._keeping.start()
+        self._untracked.start()
         self.ready = True
 
     def _make_trackers(self, frame_log: SqliteLog) -> TrackerThread[Any] | TrackerProcesses:
@@ -125,6 +135,8 @@ class EmbeddedHost:
     def stop(self) -> None:
         """Take no more frames, fold and store what is logged, and let go of the files."""
         self.ready = False
+        if self._untracked is not None:
+            self._untracked.stop()
         if self._trackers is not None:
             self._trackers.stop()
         self._keeping.stop()
@@ -191,6 +203,17 @@ class EmbeddedHost:
             raise Unavailable(f"what sensor {sensor_id} recorded is still being stored", 1.0)
         self._log().purge(sensor_id)
 
+    def restart(self, sensor_id: str, *, skip: bool) -> int:
+        """Track a sensor that failed once more, and return how many records are left out for good.
+
+        skip: those that are logged and not tracked; an epoch without tracks begins behind them. Raises
+        NotFound, Conflict when the sensor has not failed, and Unavailable.
+        """
+        doorway = self._doorway(sensor_id)
+        if self._untracked is None:
+            raise Unavailable("the service has not started yet")
+        return self._untracked.restart(doorway, skip=skip)
+
     def config(self, sensor_id: str) -> SensorConfig:
         """Return the configuration by which a sensor's frames are decoded; raises NotFound."""
         return self._doorway(sensor_id).config
@@ -216,12 +239,17 @@ class EmbeddedHost:
         doorway = self._doorway(sensor_id)
         if not self.ready or self._door is None:
             raise Unavailable("the service is not ready")
+        if self._untracked is not None:
+            self._untracked.require_room(doorway)
         return await self._door.submit(doorway, frames, self._clock_us())
 
     def count_rejected(self, sensor_id: str, count: int) -> None:
         """Count frames of a sensor that could not be read."""
         if self._door is not None:
             self._door.count_rejected(sensor_id, count)
+
+    def _given_up(self, sensor_id: str) -> bool:
+        return self._untracked is not None and self._untracked.given_up(sensor_id)
 
     def _on_durable(self, positions: dict[str, int]) -> None:
         if self._trackers is not None:

@@ -73,6 +73,7 @@ class Blame:
     position: int = 0  # of the last death
     deaths: int = 0  # there
     set_aside: list[int] = field(default_factory=list)  # positions, rising
+    forgiven: int = 0  # of them, when somebody had the sensor tracked again
 
     def died_at(self, position: int) -> bool:
         """Take in a death; return whether the record at `position` is set aside by it."""
@@ -83,10 +84,15 @@ class Blame:
         self.set_aside = sorted([*self.set_aside, position])
         return True
 
+    def forgive(self) -> None:
+        """Begin to count anew; what was set aside stays so."""
+        self.position = self.deaths = 0
+        self.forgiven = len(self.set_aside)
+
     @property
     def hopeless(self) -> bool:
         """Whether so many of the newest records were set aside that the sensor had better stop."""
-        newest = self.set_aside[-HOPELESS_RECORDS:]
+        newest = self.set_aside[self.forgiven :][-HOPELESS_RECORDS:]
         return len(newest) == HOPELESS_RECORDS and newest[-1] - newest[0] < HOPELESS_SPAN
 
 

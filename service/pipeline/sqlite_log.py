@@ -1,8 +1,8 @@
 """The embedded log: every sensor's records in SQLite files of one folder, durable before the caller goes on.
 
 One writer thread takes all that waits into one transaction (group commit). Files rotate by size; the
-oldest is dropped when the whole log is too large and the host has released all of its records, else
-appending is refused: nothing is dropped silently.
+oldest is dropped when the whole log is too large and the host has released all of its records, or has given
+up the sensors of the others; else appending is refused: nothing is dropped silently.
 """
 
 from __future__ import annotations
@@ -46,6 +46,11 @@ class LogLimits:
     retry_after_s: float = 5.0  # what a refused caller is told
 
 
+def share_of_log(limits: LogLimits) -> int:
+    """Return the bytes that one file may take, or one sensor that is not tracked."""
+    return limits.total_bytes // _LEAST_SEGMENTS
+
+
 @dataclass(frozen=True, slots=True)
 class _Pending:
     sensor_id: str
@@ -61,17 +66,19 @@ class SqliteLog:
         folder: Path,
         limits: LogLimits = LogLimits(),
         on_durable: Callable[[dict[str, int]], None] | None = None,
+        given_up: Callable[[str], bool] = lambda _: False,
     ) -> None:
         """Open the folder's log, or make one; `on_durable` hears of each commit.
 
-        `on_durable` is called with the newest position of each sensor in the commit, from the writer thread,
-        and must not block. Raises StorageError when another
-        process uses the folder.
+        `on_durable` is called with the newest position of each sensor in the commit, from the writer thread;
+        `given_up` tells the sensors that are not tracked, whose records hold no file back. Neither may
+        block or use the log. Raises StorageError when another process uses the folder.
         """
         self._folder = folder
         self._limits = limits
-        self._segment_bytes = min(limits.segment_bytes, limits.total_bytes // _LEAST_SEGMENTS)
+        self._segment_bytes = min(limits.segment_bytes, share_of_log(limits))
         self._on_durable = on_durable
+        self._given_up = given_up
         folder.mkdir(parents=True, exist_ok=True)
         self._lock_file = _lock(folder)
         self._guard = threading.Condition()  # over all that follows
@@ -298,6 +305,17 @@ class SqliteLog:
         with self._guard:
             self._released[sensor_id] = max(position, self._released.get(sensor_id, 0))
 
+    def expire(self, sensor_id: str, position: int) -> None:
+        """Keep the sensor's records up to `position` no longer, whether they were tracked or not."""
+        with self._guard:
+            self._released[sensor_id] = max(position, self._released.get(sensor_id, 0))
+            for segment in self._segments:
+                extent = segment.extents.get(sensor_id)
+                if extent is not None and extent.last <= position:
+                    segment.extents.pop(sensor_id)
+                elif extent is not None and extent.first <= position:
+                    segment.extents[sensor_id] = Extent(position + 1, extent.last)
+
     def purge(self, sensor_id: str) -> None:
         """Remove a sensor's records for good; its positions are not given again."""
         with self._guard:
@@ -310,11 +328,12 @@ class SqliteLog:
     def _drop_released(self) -> None:
         while len(self._segments) > 1 and self._size_bytes() > self._limits.total_bytes - self._segment_bytes:
             oldest = self._segments[0]
-            if any(extent.last > self._released.get(name, 0) for name, extent in oldest.extents.items()):
+            wanted = {n for n, extent in oldest.extents.items() if extent.last > self._released.get(n, 0)}
+            if not all(map(self._given_up, wanted)):
                 return
             self._segments.pop(0)
             oldest.delete()
-            log.info("log file dropped", file=oldest.path.name)
+            log.info("log file dropped", file=oldest.path.name, untracked=sorted(wanted))
 
     # ------------------------------------------------------------- opening and closing
 

@@ -22,7 +22,7 @@ import structlog
 
 from service.errors import StorageError, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
-from service.pipeline.channel import open_channel
+from service.pipeline.channel import Reopening, open_channel
 from service.pipeline.codec import decode_record
 from service.pipeline.fold_state import Tracker
 from service.pipeline.folding import IDLE_S, Folding, Pace
@@ -293,11 +293,16 @@ class TrackerProcess:
                 case _:
                     _log.error("strange message", kind=kind)
 
-    def _take_in(self, config: str, first: int, last: int, number: int, set_aside: list[int]) -> None:
+    def _take_in(  # noqa: PLR0913 - the members of the message
+        self, *, config: str, first: int, last: int, number: int, set_aside: list[int], anew: str | None
+    ) -> None:
         chosen = SensorConfig.model_validate_json(config)
         self._place.end()
         self._frame_log.set_aside(chosen.sensor_id, set_aside)
         self._frame_log.learn(chosen.sensor_id, last, first)
+        self._failures.pop(chosen.sensor_id, None)
+        if self._folding.reopen(chosen.sensor_id, Reopening(chosen, anew)):
+            return
         try:
             channel = open_channel(
                 self._database,
@@ -306,14 +311,14 @@ class TrackerProcess:
                 self._tracker,
                 now_us=self._clock_us(),
                 now_s=time.monotonic(),
+                anew=anew,
             )
         except WaysideError as error:
             _log.exception("sensor not taken in", sensor_id=chosen.sensor_id)
             self._failures[chosen.sensor_id] = str(error)
-            self._telemetry.failed.labels(chosen.sensor_id).set(1)
         else:
             channel.number = number
-            self._folding.add(channel)
+            self._folding.take_in_again(channel)
 
     def _report(self) -> None:
         """Tell where everything stands."""

@@ -14,7 +14,7 @@ import socket
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any, Protocol
 
 import orjson
@@ -28,8 +28,9 @@ from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import decode_entry
 from service.pipeline.log import FrameLog
 from service.pipeline.nursery import Nursery
-from service.pipeline.place import Blame, Place, Stall, open_place, shared_memory
+from service.pipeline.place import Stall, open_place, shared_memory
 from service.pipeline.records import TickRecord
+from service.pipeline.tracker_member import Member, Process, ProcessHealth, let_go
 from service.pipeline.tracker_process import WORK
 from service.telemetry import Samples, Telemetry, added
 
@@ -58,49 +59,6 @@ class Owner(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class _Member:
-    """A sensor of a process."""
-
-    config: SensorConfig  # for an epoch that begins without a state
-    standing: Standing
-    number: int  # by which its process names it
-    leaving: bool = False
-    blame: Blame = field(default_factory=Blame)
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessHealth:
-    """Where one tracker process stands."""
-
-    running: bool
-    pid: int | None
-    restarts: int
-    sensors: int
-
-
-@dataclass(slots=True)
-class _Process:
-    """One tracker process and all that outlives it."""
-
-    index: int
-    memory: int | None  # descriptor of what it shares with us, None after the end
-    place: Place
-    members: dict[str, _Member] = field(default_factory=dict)
-    guard: threading.RLock = field(default_factory=threading.RLock)  # over members, line, unsent news
-    line: Line | None = None
-    lifeline: int | None = None
-    pid: int | None = None
-    news: dict[str, int] = field(default_factory=dict)  # not sent yet
-    restarts: int = 0
-    before: Samples = field(default_factory=list)  # counted by the processes that ended
-    counted: Samples = field(default_factory=list)  # by the one that runs
-    damaged_before: int = 0
-    damaged: int = 0
-    done: bool = False  # it said that everything is stored
-    thread: threading.Thread | None = None
-
-
 class TrackerProcesses:
     """A number of tracker processes that share the sensors."""
 
@@ -113,10 +71,10 @@ class TrackerProcesses:
         self._telemetry = telemetry
         memories = [shared_memory() for _ in range(count)]
         self._processes = [
-            _Process(index, memory, open_place(memory)) for index, memory in enumerate(memories)
+            Process(index, memory, open_place(memory)) for index, memory in enumerate(memories)
         ]
         self._numbers = itertools.count(1)
-        self._of: dict[str, _Process] = {}  # replaced, never changed
+        self._of: dict[str, Process] = {}  # replaced, never changed
         self._adding = threading.Lock()
         self._stopping = threading.Event()
 
@@ -146,7 +104,7 @@ class TrackerProcesses:
             if not process.done:
                 _log.warning("a tracker process did not end in order", process=process.index)
             with process.guard:
-                _let_go(process)
+                let_go(process)
                 if process.memory is not None:
                     os.close(process.memory)
                 process.memory = None
@@ -157,7 +115,7 @@ class TrackerProcesses:
             process = min(self._processes, key=lambda one: (len(one.members), one.index))
             self._of = {**self._of, channel.sensor_id: process}
         with process.guard:
-            member = process.members[channel.sensor_id] = _Member(
+            member = process.members[channel.sensor_id] = Member(
                 config, channel.standing(), next(self._numbers)
             )
             self._send_member(process, member)
@@ -173,6 +131,20 @@ class TrackerProcesses:
                 member.leaving = True
                 if process.line is not None:
                     process.line.send(Kind.LEAVE, sensor_id.encode())
+
+    def restart(self, config: SensorConfig, anew: str | None) -> None:
+        """Track a sensor that failed once more; `anew`: why its next epoch begins."""
+        process = self._of.get(config.sensor_id)
+        if process is None:
+            return
+        with process.guard:
+            member = process.members.get(config.sensor_id)
+            if member is None:
+                return
+            member.config, member.anew = config, anew
+            member.blame.forgive()
+            member.standing = replace(member.standing, failure=None)
+            self._send_member(process, member)
 
     def reconfigure(self, config: SensorConfig) -> None:
         """Take in a new configuration; the tracker hears of it by the log."""
@@ -219,7 +191,7 @@ class TrackerProcesses:
 
     # ------------------------------------------------------------- one process
 
-    def _begin(self, process: _Process) -> None:
+    def _begin(self, process: Process) -> None:
         """Start the process and tell it of its sensors; raises StorageError when none can be started."""
         if process.memory is None:
             raise StorageError("the tracker processes were stopped")
@@ -242,7 +214,7 @@ class TrackerProcesses:
             if self._stopping.is_set():
                 process.line.send(Kind.STOP)
 
-    def _send_member(self, process: _Process, member: _Member) -> None:
+    def _send_member(self, process: Process, member: Member) -> None:
         if process.line is None:
             return
         sensor_id = member.config.sensor_id
@@ -253,20 +225,22 @@ class TrackerProcesses:
             "last": ends[1],
             "number": member.number,
             "set_aside": member.blame.set_aside,
+            "anew": member.anew,
         }
         if not member.blame.hopeless:
             process.line.send(Kind.ADD, orjson.dumps(known))
+            member.anew = None
         if member.leaving:
             process.line.send(Kind.LEAVE, sensor_id.encode())
 
     @staticmethod
-    def _send_news(process: _Process) -> None:
+    def _send_news(process: Process) -> None:
         """Send what is new unless older messages still wait: then it goes with the next."""
         if process.news and process.line is not None and process.line.clear:
             news, process.news = process.news, {}
             process.line.send(Kind.NEWS, orjson.dumps(news))
 
-    def _look_after(self, process: _Process) -> None:
+    def _look_after(self, process: Process) -> None:
         """Hear the process out, and start it again when it ends before its time."""
         pause_s = PAUSE_S
         while True:
@@ -278,7 +252,7 @@ class TrackerProcesses:
             except Exception:  # noqa: BLE001 - the edge of a thread; the process is begun anew
                 _log.exception("a tracker process is not understood", process=process.index)
             with process.guard:
-                _let_go(process)
+                let_go(process)
             if process.done:
                 return
             self._blame(process)
@@ -287,7 +261,7 @@ class TrackerProcesses:
             if self._stopping.wait(pause_s) or not self._begin_again(process):
                 return
 
-    def _blame(self, process: _Process) -> None:
+    def _blame(self, process: Process) -> None:
         """Count the death against the record that was being folded, if there was one."""
         number, position, _ = process.place.read()
         with process.guard:
@@ -299,9 +273,8 @@ class TrackerProcesses:
             if member.blame.hopeless:
                 failure = f"the tracker's process ends at every record, last at {position}"
                 member.standing = member.standing.failed(failure)
-                self._telemetry.failed.labels(sensor_id).set(1)
 
-    def _begin_again(self, process: _Process) -> bool:
+    def _begin_again(self, process: Process) -> bool:
         process.before, process.counted = added(process.before, process.counted), []
         process.damaged_before, process.damaged = process.damaged_before + process.damaged, 0
         process.restarts += 1
@@ -313,7 +286,7 @@ class TrackerProcesses:
             return False
         return True
 
-    def _listen(self, process: _Process) -> None:
+    def _listen(self, process: Process) -> None:
         line = process.line
         assert line is not None  # noqa: S101 - it was just begun
         stall = Stall(process.place, HUNG_S, time.monotonic())
@@ -330,14 +303,14 @@ class TrackerProcesses:
                 self._send_news(process)
 
     @staticmethod
-    def _kill(process: _Process) -> None:
+    def _kill(process: Process) -> None:
         """End a process that hangs; the line, still open, says that the number is still its own."""
         _log.error("a tracker process hangs", process=process.index, pid=process.pid)
         if process.pid is not None:
             with suppress(ProcessLookupError):
                 os.kill(process.pid, signal.SIGKILL)
 
-    def _hear(self, process: _Process, kind: Kind, body: bytes) -> None:
+    def _hear(self, process: Process, kind: Kind, body: bytes) -> None:
         match kind:
             case Kind.VIEW:
                 entry, frame = decode_entry(body)
@@ -355,7 +328,7 @@ class TrackerProcesses:
             case _:
                 _log.debug("a tracker process is ready", process=process.index, pid=process.pid)
 
-    def _take_report(self, process: _Process, report: dict[str, Any]) -> None:
+    def _take_report(self, process: Process, report: dict[str, Any]) -> None:
         process.counted = [(family, name, labels, value) for family, name, labels, value in report["metrics"]]
         process.damaged = report["damaged_records"]
         with process.guard:
@@ -370,7 +343,7 @@ class TrackerProcesses:
                 if member is not None:
                     member.standing = member.standing.failed(failure)
 
-    def _append_tick(self, process: _Process, sensor_id: str, time_us: int) -> None:
+    def _append_tick(self, process: Process, sensor_id: str, time_us: int) -> None:
         try:
             self._frame_log.append_later(sensor_id, [TickRecord(time_us)])
         except WaysideError as error:
@@ -378,19 +351,10 @@ class TrackerProcesses:
             if process.line is not None:
                 process.line.send(Kind.REFUSED, sensor_id.encode())
 
-    def _forget(self, process: _Process, sensor_id: str) -> None:
+    def _forget(self, process: Process, sensor_id: str) -> None:
         with process.guard:
             process.members.pop(sensor_id, None)
         with self._adding:
             self._of = {name: one for name, one in self._of.items() if name != sensor_id}
+        self._frame_log.release(sensor_id, self._frame_log.last_position(sensor_id))
         self._owner.gone(sensor_id)
-
-
-def _let_go(process: _Process) -> None:
-    """Close the connection to a process that ended."""
-    if process.line is not None:
-        process.line.close()
-    if process.lifeline is not None:
-        with suppress(OSError):
-            os.close(process.lifeline)
-    process.line = process.lifeline = None

@@ -9,11 +9,11 @@ from typing import Generic
 import structlog
 
 from service.formats.sensor import SensorConfig
-from service.pipeline.channel import Channel, Standing
+from service.pipeline.channel import Channel, Reopening, Standing
 from service.pipeline.fold_state import S
 from service.pipeline.folding import IDLE_S, Folding
 from service.pipeline.live import LiveEntry, LiveView
-from service.pipeline.tracker_processes import ProcessHealth
+from service.pipeline.tracker_member import ProcessHealth
 from service.telemetry import Samples, Telemetry
 
 _log = structlog.get_logger(__name__)
@@ -110,6 +110,11 @@ class TrackerThread(Generic[S]):
         if channel is not None:
             channel.leaving = True
             self._news.set()
+
+    def restart(self, config: SensorConfig, anew: str | None) -> None:
+        """Track a sensor that failed once more; `anew`: why its next epoch begins."""
+        self._folding.reopen(config.sensor_id, Reopening(config, anew))
+        self._news.set()
 
     def reconfigure(self, config: SensorConfig) -> None:
         """Do nothing: the new configuration comes by the log."""

@@ -141,6 +141,17 @@ def test_a_purged_sensor_leaves_nothing_behind_and_its_id_stays_taken(service):
     assert acts(service, action="sensor.purged") == [("nobody", "sensor.purged", "gone")]
 
 
+def test_a_sensor_that_has_not_failed_is_not_restarted_and_only_an_admin_asks(service, keyed):
+    service.post("/sensors", json={"sensor_id": "well"})
+
+    assert "has not failed" in problem(service.post("/sensors/well:restart?skip=true"), 409)["detail"]
+    problem(service.post("/sensors/nobody:restart"), 404)
+    problem(service.post("/sensors/well:restart?skip=perhaps"), 422)
+    assert acts(service, action="sensor.restarted") == []
+    _, reader = make_key(keyed, "read")
+    problem(keyed.post("/sensors/any:restart", headers=bearer(reader)), 403)
+
+
 def log_bytes(service):
     """What stands in the files of the log, past the header that names the sensors whose positions went on."""
     folder = service.host._settings.log_dir

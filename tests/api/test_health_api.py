@@ -97,7 +97,8 @@ def test_a_service_that_lags_is_not_ready(tmp_path):
             running.post("/sensors/radar-1/frames", json=recording("radar-1", 2)[0])
             assert running.client.get("/readyz").status_code == 200
             doorway = running.host._doorways["radar-1"]
-            doorway.waiting[0] = (doorway.waiting[0][0], doorway.waiting[0][1] - 5_100_000)
+            position, received_us, before = doorway.waiting[0]
+            doorway.waiting[0] = position, received_us - 5_100_000, before
 
             reply = running.client.get("/readyz")
 

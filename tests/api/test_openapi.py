@@ -46,6 +46,7 @@ MODELS = {
     "list_keys": Page[schemas.KeyReply],
     "read_audit": Page[schemas.ActReply],
     "purge_sensor": schemas.PurgeReply,
+    "restart_sensor": schemas.RestartReply,
     "read_session": schemas.SessionReply,
     "open_session": schemas.SessionReply,
     "live": schemas.AliveReply,

@@ -1,15 +1,16 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 
 import pytest
 
 from service.errors import Unavailable
-from service.pipeline.clocks import ClockWatch
+from service.pipeline.channel import Doorway
 from service.pipeline.door import Door, Outcome
 from service.pipeline.order import OrderState
 from service.telemetry import Telemetry
-from tests.pipeline.recordings import recording
+from tests.pipeline.recordings import CONFIG, recording
 
 
 class FakeLog:
@@ -24,18 +25,14 @@ class FakeLog:
         return answer
 
 
-class FakeChannel:
-    def __init__(self, sensor_id) -> None:
-        self.sensor_id, self.clock = sensor_id, ClockWatch()
-        self.door = self.durable_door = OrderState()
-        self.door_failures = 0
-        self.folded = 1000  # the tracker is ahead of what is posted here
+def doorway() -> Doorway:
+    return Doorway("radar-1", CONFIG, OrderState(), OrderState(), deque())
 
 
 def test_frames_that_the_log_refused_are_no_repeats_though_later_ones_were_logged():
     async def run():
         log = FakeLog()
-        door, channel = Door(log, Telemetry(), 60.0), FakeChannel("radar-1")
+        door, channel = Door(log, Telemetry(), 60.0), doorway()
         first, second = recording(2)
 
         async def post(one):

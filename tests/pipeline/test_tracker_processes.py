@@ -31,6 +31,7 @@ from tests.pipeline import simple_tracker
 from tests.pipeline.hosts import caught_up, folded_rows, stored_rows, submit, wait_until
 from tests.pipeline.recordings import (
     CONFIG,
+    PERIOD_US,
     START_US,
     fold_records,
     pausing_recording,
@@ -392,6 +393,44 @@ def test_a_sensor_whose_every_record_ends_the_process_stops_and_the_others_go_on
         None,
     ]
     assert 'wayside_sensor_failed{sensor_id="radar-1"} 1.0' in text
+
+
+def test_a_sensor_that_stopped_is_tracked_again_by_an_administrator(running, database, monkeypatch):
+    monkeypatch.setattr(tracker_processes, "PAUSE_MOST_S", 0.05)
+    poison = lambda frame: frame.sequence is not None and 10 <= frame.sequence < 30  # noqa: E731
+    with running(tracker_that(lambda: os._exit(9), poison)) as host:
+        submit(host, recording(30))
+        wait_until(lambda: host.health().sensors[0].failure is not None)
+        assert host.restart("radar-1", skip=True) >= 31 - 20  # behind the last that was set aside
+        wait_until(lambda: host.health().tracking and caught_up(host))
+        submit(host, recording(10, first=31, start_us=START_US + 30 * PERIOD_US))
+        wait_until(lambda: host.live.newest("radar-1").folded is not None)
+        wait_until(lambda: host.live.newest("radar-1").folded.number == 40 and caught_up(host))
+        (health,) = host.health().sensors
+        text = host.metrics().decode()
+
+    assert (health.failure, health.epoch) == (None, 2)
+    assert 'wayside_sensor_failed{sensor_id="radar-1"} 0.0' in text
+    with reading(database) as reader:
+        (event,) = [e for e in list_events(reader, "radar-1").items if e.kind == "tracker_restarted"]
+    reason = event.detail["reason"]
+    assert reason.startswith(
+        "an administrator had what waited for the tracker left out after it failed (the "
+    )
+    assert reason.endswith("to 31")
+    left_out = int(reason.partition("); ")[2].partition(" ")[0])
+    assert 11 <= left_out < 22
+    assert f'wayside_frames_total{{fate="expired",sensor_id="radar-1"}} {left_out}.0' in text
+
+
+def test_the_log_does_not_wait_for_a_sensor_that_stopped_and_was_let_go(running, monkeypatch):
+    monkeypatch.setattr(tracker_processes, "PAUSE_MOST_S", 0.05)
+    with running(tracker_that(lambda: os._exit(9), lambda frame: frame.sequence >= 10)) as host:
+        submit(host, recording(30))
+        wait_until(lambda: host.health().sensors[0].failure is not None and host.health().tracking)
+        host.forget("radar-1")
+        wait_until(lambda: host.live.newest("radar-1") is None)
+        assert host._frame_log._released["radar-1"] == host._frame_log.last_position("radar-1") == 31
 
 
 @pytest.mark.slow
