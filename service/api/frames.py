@@ -65,7 +65,7 @@ async def post_frame(sensor_id: SensorPath, request: Request) -> Response:
         case Outcome.CONFLICT:
             raise Conflict(result.reason or "the frame came before with another content")
         case Outcome.REJECTED:
-            raise InvalidFrame.at("/timestamp", result.reason or "is not taken")
+            raise InvalidFrame.at(result.pointer, result.reason or "is not taken")
         case Outcome.DUPLICATE:
             code = status.HTTP_200_OK
         case _:
@@ -162,7 +162,7 @@ def _rejected(index: int, fault: InvalidFrame, *, named: bool) -> dict[str, obje
 
 
 def _refused(index: int, result: ItemResult) -> dict[str, str]:
-    return {"pointer": f"/{index}/timestamp", "detail": result.reason or "is not taken"}
+    return {"pointer": f"/{index}{result.pointer}", "detail": result.reason or "is not taken"}
 
 
 def _named(index: int, error: FieldError) -> dict[str, str]:

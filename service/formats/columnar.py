@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,5 +74,13 @@ def decode_frame(data: bytes | memoryview) -> Frame:
 
 def content_digest(frame: Frame) -> int:
     """Return 63 bits that name the frame's content, to tell a repeated frame from a conflicting one."""
-    digest = hashlib.blake2b(encode_frame(frame), digest_size=_DIGEST_BYTES).digest()
-    return int.from_bytes(digest, "little") >> 1
+    return _number_of(encode_frame(frame))
+
+
+def points_digest(frame: Frame) -> int:
+    """Return 63 bits that name time and points, whatever boot and number the frame came with."""
+    return _number_of(encode_frame(replace(frame, boot_id=None, sequence=None)))
+
+
+def _number_of(data: bytes) -> int:
+    return int.from_bytes(hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest(), "little") >> 1

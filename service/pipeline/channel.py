@@ -64,6 +64,7 @@ class Doorway:
     folded: int = 0  # newest position that the tracker told
     door_failures: int = 0  # submissions that the log refused
     clock: ClockWatch = field(default_factory=ClockWatch)
+    set_aside: frozenset[int] = frozenset()  # digests of frames over which a tracker died
 
     def pass_folded(self, position: int) -> None:
         """Take in that records up to a position are folded; from the tracker's thread."""
@@ -148,7 +149,7 @@ class Channel(Generic[S]):
     leaving: bool = False
     reopening: Reopening | None = None
     skipped: int = 0  # records that were left out when its epoch was begun on purpose
-    number: int = 0  # by which a tracker process names it in its place
+    number: int = 0  # by which a tracker names it in its place: the sensor's ordinal
 
     def take_rows(self) -> Rows:
         """Return what was collected since the last flush, each track's newest summary only."""

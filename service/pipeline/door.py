@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from service.errors import WaysideError
+from service.formats.columnar import points_digest
 from service.pipeline.channel import Doorway
 from service.pipeline.order import Fate, OrderState, admit
 from service.pipeline.records import FrameRecord
@@ -34,6 +35,7 @@ class ItemResult:
 
     outcome: Outcome
     reason: str | None = None
+    pointer: str = ""  # to what is wrong in a rejected frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +92,9 @@ class Door:
         records: list[FrameRecord] = []
         order, newest_us = doorway.door, None
         for frame in frames:
-            refusal = self._refusal(doorway.sensor_id, frame, received_us)
+            refusal = self._refusal(doorway, frame, received_us)
             if refusal is not None:
-                results.append(ItemResult(Outcome.REJECTED, refusal))
+                results.append(refusal)
                 newest_us = frame.time_us
                 continue
             order, admission = admit(order, frame)
@@ -107,14 +109,17 @@ class Door:
             self.count_rejected(doorway.sensor_id, len(frames) - len(records))
         return _Sorted(results, records, order)
 
-    def _refusal(self, sensor_id: str, frame: Frame, received_us: int) -> str | None:
-        if frame.sensor_id != sensor_id:
-            return f"the frame is of {frame.sensor_id}, not of {sensor_id}"
+    def _refusal(self, doorway: Doorway, frame: Frame, received_us: int) -> ItemResult | None:
+        if frame.sensor_id != doorway.sensor_id:
+            reason = f"the frame is of {frame.sensor_id}, not of {doorway.sensor_id}"
+            return ItemResult(Outcome.REJECTED, reason, "/sensor_id")
+        if doorway.set_aside and points_digest(frame) in doorway.set_aside:
+            reason = "the tracker ended over this frame again and again; it was set aside for good"
+            return ItemResult(Outcome.REJECTED, reason, "")
         ahead_s = (frame.time_us - received_us) / _US_PER_S
         if ahead_s > self._ahead_limit_s:
-            return (
-                f"its time is {ahead_s:.0f} s ahead of the host's, want at most {self._ahead_limit_s:.0f} s"
-            )
+            reason = f"its time is {ahead_s:.0f} s ahead of the host's, at most {self._ahead_limit_s:.0f} s"
+            return ItemResult(Outcome.REJECTED, reason, "/timestamp")
         return None
 
 

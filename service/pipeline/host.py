@@ -12,7 +12,9 @@ import structlog
 from sqlalchemy import Engine
 
 from service.errors import NotFound, Unavailable
+from service.formats.columnar import points_digest
 from service.formats.sensor import SensorConfig
+from service.pipeline.blame import Blame, BlameBook, PlaceFile
 from service.pipeline.channel import Doorway, open_channel, open_doorway
 from service.pipeline.door import Door, ItemResult
 from service.pipeline.fold_state import Tracker
@@ -22,6 +24,7 @@ from service.pipeline.keeping import Keeping
 from service.pipeline.live import LiveEntry, LiveView
 from service.pipeline.nursery import Nursery
 from service.pipeline.order import flush
+from service.pipeline.place import nowhere
 from service.pipeline.records import ControlRecord, FrameRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog, share_of_log
 from service.pipeline.tracker_process import pace_of, wait_for_orphans
@@ -75,6 +78,7 @@ class EmbeddedHost:
         self._door: Door | None = None
         self._trackers: TrackerThread[Any] | TrackerProcesses | None = None
         self._untracked: Untracked | None = None
+        self._blames: BlameBook | None = None
         self._keeping = Keeping(database, settings, clock_us)
         self.ready = False
 
@@ -92,8 +96,10 @@ class EmbeddedHost:
         )
         self._frame_log = SqliteLog(self._settings.log_dir, limits, self._on_durable, self._given_up)
         wait_for_orphans(self._settings.log_dir)
+        blames = self._blames = BlameBook(self._settings.log_dir, self._digest_at, self._on_set_aside)
+        self._count_deaths(blames)
         self._door = Door(self._frame_log, self.telemetry, self._settings.clock_ahead_limit_s)
-        self._trackers = self._make_trackers(self._frame_log)
+        self._trackers = self._make_trackers(self._frame_log, blames)
         for sensor in self._registered():
             self.configure(sensor)
         for sensor_id in self._frame_log.sensors() - self._doorways.keys():
@@ -103,6 +109,7 @@ class EmbeddedHost:
             self._trackers,
             lambda: self._doorways,
             Allowance(share_of_log(limits), round(self._settings.untracked_hours * 3_600_000_000)),
+            blames,
             self._clock_us,
         )
         self._trackers.start()
@@ -110,11 +117,13 @@ class EmbeddedHost:
         self._untracked.start()
         self.ready = True
 
-    def _make_trackers(self, frame_log: SqliteLog) -> TrackerThread[Any] | TrackerProcesses:
+    def _make_trackers(
+        self, frame_log: SqliteLog, blames: BlameBook
+    ) -> TrackerThread[Any] | TrackerProcesses:
         readers = Readers(self.live, self.telemetry, self._clock_us, self._pass_folded)
         count = max(self._settings.tracker_process_count, 1)
         if self._nursery is not None:
-            return TrackerProcesses(self._nursery, count, frame_log, readers, self.telemetry)
+            return TrackerProcesses(self._nursery, count, frame_log, readers, self.telemetry, blames)
         return TrackerThread(
             Folding(
                 self._database,
@@ -124,6 +133,7 @@ class EmbeddedHost:
                 self.telemetry,
                 pace=pace_of(self._settings),
                 clock_us=self._clock_us,
+                place=nowhere(PlaceFile(blames.place_path(0))),
             )
         )
 
@@ -183,8 +193,12 @@ class EmbeddedHost:
             now_us=self._clock_us(),
             now_s=time.monotonic(),
         )
+        channel.number = sensor.ordinal
+        blame = self._blame_of(sensor.sensor_id)
+        channel.failure = blame.failure
         doorway = open_doorway(self._log(), sensor.config, channel.state, now_us=self._clock_us())
         self.live.publish(LiveEntry(sensor.sensor_id, channel.state.position, channel.state.epoch))
+        doorway.set_aside = frozenset(blame.digests)
         self._doorways = {**self._doorways, sensor.sensor_id: doorway}
         if self._trackers is not None:
             self._trackers.add(channel, sensor.config)
@@ -202,6 +216,8 @@ class EmbeddedHost:
         if self.live.newest(sensor_id) is not None:
             raise Unavailable(f"what sensor {sensor_id} recorded is still being stored", 1.0)
         self._log().purge(sensor_id)
+        if self._blames is not None:
+            self._blames.forget(sensor_id)
 
     def restart(self, sensor_id: str, *, skip: bool) -> int:
         """Track a sensor that failed once more, and return how many records are left out for good.
@@ -250,6 +266,29 @@ class EmbeddedHost:
 
     def _given_up(self, sensor_id: str) -> bool:
         return self._untracked is not None and self._untracked.given_up(sensor_id)
+
+    def _count_deaths(self, blames: BlameBook) -> None:
+        """Charge the end of an earlier service to the records that its trackers were at."""
+        sensors = {sensor.ordinal: sensor.sensor_id for sensor in self._registered()}
+        for sensor_id in sensors.values():
+            self._on_set_aside(sensor_id)
+        for number, position in blames.take_places():
+            if number in sensors:
+                blames.died_at(sensors[number], position)
+
+    def _blame_of(self, sensor_id: str) -> Blame:
+        return Blame() if self._blames is None else self._blames.of(sensor_id)
+
+    def _on_set_aside(self, sensor_id: str) -> None:
+        blame = self._blame_of(sensor_id)
+        self._log().sieve.set_aside(sensor_id, blame.set_aside, blame.digests)
+        doorway = self._doorways.get(sensor_id)
+        if doorway is not None:
+            doorway.set_aside = frozenset(blame.digests)
+
+    def _digest_at(self, sensor_id: str, position: int) -> int | None:
+        frames = (record for _, record in self._log().read(sensor_id, position - 1, 1))
+        return next((points_digest(one.frame) for one in frames if isinstance(one, FrameRecord)), None)
 
     def _on_durable(self, positions: dict[str, int]) -> None:
         if self._trackers is not None:

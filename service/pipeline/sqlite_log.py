@@ -24,10 +24,11 @@ from pathlib import Path
 import structlog
 
 from service.errors import InvalidFrame, StorageError, Unavailable, WaysideError
-from service.pipeline.codec import decode_record, encode_record, record_time_us
+from service.pipeline.codec import encode_record, record_time_us
 from service.pipeline.promises import Promise, tell
-from service.pipeline.records import DamagedRecord, Record
+from service.pipeline.records import Record
 from service.pipeline.segments import Extent, Segment, set_aside
+from service.pipeline.sieve import Sieve
 
 log = structlog.get_logger(__name__)
 
@@ -90,7 +91,7 @@ class SqliteLog:
         self._closing = False
         self._refusal: str | None = None
         self._room_checked_s = -_ROOM_CHECK_S
-        self.damaged_records = 0
+        self.sieve = Sieve()
         try:
             self._open_segments()
         except BaseException:
@@ -242,15 +243,12 @@ class SqliteLog:
                 raise StorageError(f"the log file {segment.path.name} cannot be read: {error}") from error
             if len(found) >= limit:
                 break
-        return [(position, self._decode(sensor_id, position, body)) for position, body in found]
+        return [(position, self.sieve.record(sensor_id, position, body)) for position, body in found]
 
-    def _decode(self, sensor_id: str, position: int, body: bytes) -> Record:
-        try:
-            return decode_record(body)
-        except StorageError as error:
-            self.damaged_records += 1
-            log.error("record damaged", sensor_id=sensor_id, position=position, error=str(error))  # noqa: TRY400
-            return DamagedRecord(str(error))
+    @property
+    def damaged_records(self) -> int:
+        """Records that were read here and left out."""
+        return self.sieve.damaged_records
 
     def last_position(self, sensor_id: str) -> int:
         """Return the newest position, 0 for an empty log."""

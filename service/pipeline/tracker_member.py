@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from service.formats.sensor import SensorConfig
 from service.pipeline.channel import Standing
 from service.pipeline.line import Line
-from service.pipeline.place import Blame, Place
+from service.pipeline.place import Place
 from service.telemetry import Samples
 
 
@@ -23,7 +23,6 @@ class Member:
     number: int  # by which its process names it
     leaving: bool = False
     anew: str | None = None  # why its next epoch begins, until its process was told
-    blame: Blame = field(default_factory=Blame)
 
 
 @dataclass(frozen=True, slots=True)

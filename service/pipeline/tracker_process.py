@@ -22,8 +22,8 @@ import structlog
 
 from service.errors import StorageError, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
+from service.pipeline.blame import PlaceFile
 from service.pipeline.channel import Reopening, open_channel
-from service.pipeline.codec import decode_record
 from service.pipeline.fold_state import Tracker
 from service.pipeline.folding import IDLE_S, Folding, Pace
 from service.pipeline.line import Kind, Line, LineClosed
@@ -31,8 +31,9 @@ from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import encode_entry
 from service.pipeline.log_reader import LogReader
 from service.pipeline.nursery import Work, end_with
-from service.pipeline.place import DEATHS, Place, open_place
-from service.pipeline.records import DamagedRecord, Record, TickRecord
+from service.pipeline.place import Place, open_place
+from service.pipeline.records import Record, TickRecord
+from service.pipeline.sieve import Sieve
 from service.settings import Settings
 from service.storage.database import open_database
 from service.telemetry import Telemetry
@@ -59,14 +60,15 @@ def _work(
     tracker: Tracker[Any],
     clock_us: Callable[[], int],
     descriptors: list[int],
-    _: dict[str, object],
+    arguments: dict[str, object],
 ) -> None:
     connection, lifeline, memory = descriptors
     end_with(lifeline)
     mark = _mark(settings.log_dir)
     fcntl.flock(mark, fcntl.LOCK_SH)  # until the process ends
     line = Line(socket.socket(fileno=connection))
-    TrackerProcess(settings, tracker, clock_us, line, open_place(memory)).run()
+    place = open_place(memory, PlaceFile(Path(str(arguments["place"]))))
+    TrackerProcess(settings, tracker, clock_us, line, place).run()
 
 
 def wait_for_orphans(folder: Path) -> None:
@@ -106,8 +108,7 @@ class RemoteLog:
         self._first: dict[str, int] = {}
         self._last: dict[str, int] = {}
         self._ticks: dict[str, Future[list[int]]] = {}
-        self._set_aside: dict[str, frozenset[int]] = {}
-        self.damaged_records = 0
+        self.sieve = Sieve()
 
     def learn(self, sensor_id: str, last: int, first: int | None = None) -> None:
         """Take in how far a sensor's log goes."""
@@ -118,10 +119,6 @@ class RemoteLog:
         if tick is not None:
             tick.set_result([last])
 
-    def set_aside(self, sensor_id: str, positions: Sequence[int]) -> None:
-        """Take in which records of a sensor are not to be folded: this process died over them before."""
-        self._set_aside[sensor_id] = frozenset(positions)
-
     def refuse(self, sensor_id: str) -> None:
         """Take in that a tick was not logged."""
         tick = self._ticks.pop(sensor_id, None)
@@ -130,21 +127,11 @@ class RemoteLog:
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, Record]]:
         """Return up to `limit` records above `after`; a damaged one stands there as such, and counts."""
-        found: list[tuple[int, Record]] = []
         limit = min(limit, self.last_position(sensor_id) - after)  # a further file is not looked for in vain
-        for position, body in self._reader.read(sensor_id, after, limit):
-            if position in self._set_aside.get(sensor_id, ()):
-                self.damaged_records += 1
-                reason = f"the tracker's process ended or hung {DEATHS} times over this record"
-                found.append((position, DamagedRecord(reason, fatal=True)))
-                continue
-            try:
-                found.append((position, decode_record(body)))
-            except StorageError as error:
-                self.damaged_records += 1
-                _log.error("record damaged", sensor_id=sensor_id, position=position, error=str(error))
-                found.append((position, DamagedRecord(str(error))))
-        return found
+        return [
+            (position, self.sieve.record(sensor_id, position, body))
+            for position, body in self._reader.read(sensor_id, after, limit)
+        ]
 
     def append(self, sensor_id: str, records: Sequence[Record]) -> list[int]:
         """Raise StorageError: another process writes the log."""
@@ -294,11 +281,19 @@ class TrackerProcess:
                     _log.error("strange message", kind=kind)
 
     def _take_in(  # noqa: PLR0913 - the members of the message
-        self, *, config: str, first: int, last: int, number: int, set_aside: list[int], anew: str | None
+        self,
+        *,
+        config: str,
+        first: int,
+        last: int,
+        number: int,
+        set_aside: list[int],
+        digests: list[int],
+        anew: str | None,
     ) -> None:
         chosen = SensorConfig.model_validate_json(config)
         self._place.end()
-        self._frame_log.set_aside(chosen.sensor_id, set_aside)
+        self._frame_log.sieve.set_aside(chosen.sensor_id, set_aside, digests)
         self._frame_log.learn(chosen.sensor_id, last, first)
         self._failures.pop(chosen.sensor_id, None)
         if self._folding.reopen(chosen.sensor_id, Reopening(chosen, anew)):
@@ -329,6 +324,6 @@ class TrackerProcess:
             "standings": standings,
             "failures": self._failures,
             "metrics": self._telemetry.samples(),
-            "damaged_records": self._frame_log.damaged_records,
+            "damaged_records": self._frame_log.sieve.damaged_records,
         }
         self._line.send(Kind.REPORT, orjson.dumps(report))

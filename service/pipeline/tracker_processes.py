@@ -7,7 +7,6 @@ One that hangs is killed. A record over which that happens again and again is se
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import socket
@@ -22,6 +21,7 @@ import structlog
 
 from service.errors import StorageError, WaysideError
 from service.formats.sensor import SensorConfig
+from service.pipeline.blame import BlameBook
 from service.pipeline.channel import Channel, Standing
 from service.pipeline.line import Kind, Line, LineClosed
 from service.pipeline.live import LiveEntry
@@ -62,8 +62,14 @@ class Owner(Protocol):
 class TrackerProcesses:
     """A number of tracker processes that share the sensors."""
 
-    def __init__(
-        self, nursery: Nursery, count: int, log: FrameLog, owner: Owner, telemetry: Telemetry
+    def __init__(  # noqa: PLR0913, PLR0917 - its collaborators
+        self,
+        nursery: Nursery,
+        count: int,
+        log: FrameLog,
+        owner: Owner,
+        telemetry: Telemetry,
+        blames: BlameBook,
     ) -> None:
         self._nursery = nursery
         self._frame_log = log
@@ -73,7 +79,7 @@ class TrackerProcesses:
         self._processes = [
             Process(index, memory, open_place(memory)) for index, memory in enumerate(memories)
         ]
-        self._numbers = itertools.count(1)
+        self._blames = blames
         self._of: dict[str, Process] = {}  # replaced, never changed
         self._adding = threading.Lock()
         self._stopping = threading.Event()
@@ -115,9 +121,7 @@ class TrackerProcesses:
             process = min(self._processes, key=lambda one: (len(one.members), one.index))
             self._of = {**self._of, channel.sensor_id: process}
         with process.guard:
-            member = process.members[channel.sensor_id] = Member(
-                config, channel.standing(), next(self._numbers)
-            )
+            member = process.members[channel.sensor_id] = Member(config, channel.standing(), channel.number)
             self._send_member(process, member)
 
     def leave(self, sensor_id: str) -> None:
@@ -142,7 +146,6 @@ class TrackerProcesses:
             if member is None:
                 return
             member.config, member.anew = config, anew
-            member.blame.forgive()
             member.standing = replace(member.standing, failure=None)
             self._send_member(process, member)
 
@@ -199,7 +202,8 @@ class TrackerProcesses:
         ours, theirs = socket.socketpair()
         reading, writing = os.pipe()
         try:
-            pid = self._nursery.start(WORK, [theirs.fileno(), reading, process.memory], {})
+            place = {"place": str(self._blames.place_path(process.index))}
+            pid = self._nursery.start(WORK, [theirs.fileno(), reading, process.memory], place)
         except StorageError:
             ours.close()
             os.close(writing)
@@ -218,16 +222,20 @@ class TrackerProcesses:
         if process.line is None:
             return
         sensor_id = member.config.sensor_id
+        blame = self._blames.of(sensor_id)
         ends = self._frame_log.first_position(sensor_id), self._frame_log.last_position(sensor_id)
         known = {
             "config": member.config.canonical_json(),
             "first": ends[0],
             "last": ends[1],
             "number": member.number,
-            "set_aside": member.blame.set_aside,
+            "set_aside": blame.set_aside,
+            "digests": blame.digests,
             "anew": member.anew,
         }
-        if not member.blame.hopeless:
+        if blame.hopeless:
+            member.standing = member.standing.failed(str(blame.failure))
+        else:
             process.line.send(Kind.ADD, orjson.dumps(known))
             member.anew = None
         if member.leaving:
@@ -266,13 +274,9 @@ class TrackerProcesses:
         number, position, _ = process.place.read()
         with process.guard:
             member = next((one for one in process.members.values() if one.number == number), None)
-            if member is None or not member.blame.died_at(position):
-                return
-            sensor_id = member.config.sensor_id
-            _log.error("record set aside", sensor_id=sensor_id, position=position)
-            if member.blame.hopeless:
-                failure = f"the tracker's process ends at every record, last at {position}"
-                member.standing = member.standing.failed(failure)
+        if member is not None:
+            self._blames.died_at(member.config.sensor_id, position)
+        self._blames.clear_place(process.index)
 
     def _begin_again(self, process: Process) -> bool:
         process.before, process.counted = added(process.before, process.counted), []

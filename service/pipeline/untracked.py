@@ -25,6 +25,7 @@ import structlog
 
 from service.errors import Conflict, Unavailable, WaysideError
 from service.formats.sensor import SensorConfig
+from service.pipeline.blame import BlameBook
 from service.pipeline.channel import Doorway, Standing
 from service.pipeline.order import OrderState
 from service.pipeline.sqlite_log import SqliteLog
@@ -74,18 +75,20 @@ class _Try:
 class Untracked:
     """Looks after the sensors that failed, once a second."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 - its collaborators
         self,
         frame_log: SqliteLog,
         trackers: Trackers,
         doorways: Callable[[], Mapping[str, Doorway]],
         allowance: Allowance,
+        blames: BlameBook,
         clock_us: Callable[[], int],
     ) -> None:
         self._frame_log = frame_log
         self._trackers = trackers
         self._doorways = doorways
         self._allowance = allowance
+        self._blames = blames
         self._clock_us = clock_us
         self._tries: dict[str, _Try] = {}
         self._guard = threading.Lock()  # over restarts
@@ -160,6 +163,7 @@ class Untracked:
             if standing is None or standing.failure is None:
                 raise Conflict(f"sensor {doorway.sensor_id} has not failed; there is nothing to restart")
             if not skip:
+                self._blames.forgive(doorway.sensor_id)
                 self._trackers.restart(doorway.config, None)
                 return 0
             last = self._frame_log.last_position(doorway.sensor_id)
@@ -177,6 +181,7 @@ class Untracked:
         doorway.pass_folded(last)
         if not doorway.waiting:  # the next frame is the first of the epoch
             doorway.door = doorway.durable_door = OrderState()
+        self._blames.forgive(sensor_id)
         self._trackers.restart(doorway.config, f"{why} after it failed ({standing.failure})")
         return count
 

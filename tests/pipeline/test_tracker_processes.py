@@ -349,9 +349,30 @@ def test_a_record_that_ends_or_hangs_the_process_is_set_aside(running, database,
 
     with running(tracker_that(harm, poison)) as host:  # it is not met again
         submit(host, recording(60)[50:])
+        again = frames[19]
+        other_boot = dataclasses.replace(again, boot_id="b", sequence=1)
+        assert submit(host, [again, other_boot]) == ["rejected"] * 2
         wait_until(lambda: caught_up(host))
         assert host.health().processes[0].restarts == 0
     assert damage_of(database, "radar-1") == [21]
+
+
+def test_copies_of_a_record_that_is_set_aside_do_no_harm(running, database, monkeypatch):
+    monkeypatch.setattr(tracker_processes, "PAUSE_MOST_S", 0.05)
+    poison = recording(10)[-1]
+    copies = [dataclasses.replace(poison, boot_id=f"b{n}", sequence=n) for n in range(6)]
+    with running(tracker_that(lambda: os._exit(9), lambda one: one.time_us == poison.time_us)) as host:
+        submit(host, [*recording(10), *copies])  # logged before the first of them is set aside
+        wait_until(lambda: host.health().tracking and caught_up(host))
+        assert submit(host, [copies[0], poison]) == ["rejected"] * 2
+        later = [dataclasses.replace(one, boot_id="b9") for one in recording(15)[10:]]
+        assert submit(host, later) == ["accepted"] * 5
+        wait_until(lambda: caught_up(host) and host.health().sensors[0].failure is None)
+        health = host.health()
+
+    assert health.processes[0].restarts == 3
+    assert health.sensors[0].folded_position == 22
+    assert damage_of(database, "radar-1") == list(range(11, 18))
 
 
 def test_a_frame_that_was_held_back_is_set_aside_with_the_record_that_released_it(running, database):
