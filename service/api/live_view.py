@@ -52,7 +52,7 @@ def _head(entry: LiveEntry) -> bytes:
 def _tracks(entry: LiveEntry, config: SensorConfig) -> bytes:
     if entry.folded is None:
         return b"[]"
-    context = LiveContext(entry.sensor_id, entry.epoch, pose_of(config))
+    context = LiveContext(entry.sensor_id, entry.epoch, pose_of(config), config.length_bounds_m)
     return orjson.dumps(live_tracks(context, entry.folded.time_us, entry.folded.estimates))
 
 

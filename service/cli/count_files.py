@@ -43,7 +43,7 @@ class CountFiles:
         from service.traffic.records import MINUTE_US
 
         sensor_id = self._config.sensor_id
-        crossings = crossings_of(list(self._blocks.values()))
+        crossings = crossings_of(list(self._blocks.values()), self._config.length_bounds_m)
         received = received_of(list(self._minutes.values()))
         fields = crossing_fields(sensor_id, crossings)
         _write_lines(folder / CROSSINGS, ({**row, "x": row["x_m"], "y": row["y_m"]} for row in fields))

@@ -9,8 +9,9 @@ import json
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from service.formats.length_class import LENGTH_BOUNDS_M
 from service.tracking.fitting import fit_to_sensor
 from service.tracking.parameters import SensorModel, TrackerParameters
 from service.tracking.profiles import profile_parameters
@@ -116,6 +117,9 @@ class SensorConfig(_Schema):
     detection_threshold_db: Finite = 12.0
     count_lines: tuple[CountLine, ...] = ()
     lanes: LaneControl = LaneControl()
+    length_bounds_m: tuple[Positive, Positive, Positive] = (
+        LENGTH_BOUNDS_M  # motorcycle | short | medium | long
+    )
     profile: Literal["fast", "default", "quality"] = "default"  # which values the tracker starts from
     filter: str = "astekf"
     parameters: dict[str, str] = {}  # dotted key -> text, as in `wayside track --set key=value`
@@ -127,6 +131,13 @@ class SensorConfig(_Schema):
         if twice:
             raise ValueError(f"count_lines: the line_id {twice[0]!r} is there twice")
         return self
+
+    @field_validator("length_bounds_m")
+    @classmethod
+    def _bounds_ascend(cls, bounds: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not bounds[0] < bounds[1] < bounds[2]:
+            raise ValueError("the bounds of the length classes must ascend")
+        return bounds
 
     def sensor_model(self) -> SensorModel:
         """Return the part of the configuration that the tracking core needs, in radians."""

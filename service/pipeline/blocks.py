@@ -75,6 +75,7 @@ class Moment:
     epoch: int
     position: int
     time_us: int
+    length_bounds_m: tuple[float, ...]  # of the length classes
 
 
 _NO_TRACKS = OpenTracks(np.zeros((HITS + 1, 0), dtype=np.int64), np.zeros((SPEED_MAX + 1, 0)))
@@ -244,7 +245,7 @@ def _summary(whole: list[int], real: list[float], moment: Moment, *, ended: bool
         hits=whole[HITS],
         length_m=length_m,
         width_m=width_m,
-        length_class=length_class(length_m),
+        length_class=length_class(length_m, moment.length_bounds_m),
         existence=real[EXISTENCE],
         first_x_m=real[FIRST_X],
         first_y_m=real[FIRST_Y],

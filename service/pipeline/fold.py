@@ -224,4 +224,5 @@ def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldS
 
 
 def _moment(state: FoldState[S], time_us: int) -> Moment:
-    return Moment(state.sensor_id, state.epoch, state.position, time_us)
+    bounds_m = state.setup.config.length_bounds_m
+    return Moment(state.sensor_id, state.epoch, state.position, time_us, bounds_m)

@@ -15,12 +15,13 @@ from service.traffic.records import CROSSING
 CrossingRow = tuple[int, str, int, bytes]
 
 
-def crossings_of(blocks: Sequence[CrossingBlock]) -> CrossingTable:
+def crossings_of(blocks: Sequence[CrossingBlock], length_bounds_m: Sequence[float]) -> CrossingTable:
     """Return the crossings of some blocks by time."""
-    return crossings_of_rows([(block.epoch, block.line_id, block.minute, block.records) for block in blocks])
+    rows = [(block.epoch, block.line_id, block.minute, block.records) for block in blocks]
+    return crossings_of_rows(rows, length_bounds_m)
 
 
-def crossings_of_rows(rows: Sequence[CrossingRow]) -> CrossingTable:
+def crossings_of_rows(rows: Sequence[CrossingRow], length_bounds_m: Sequence[float]) -> CrossingTable:
     """Return the crossings of epoch, line, minute and records of some blocks by time."""
     epoch, line_id, minute, records = zip(*rows, strict=True) if rows else ((), (), (), ())
     counts = [len(part) // CROSSING.itemsize for part in records]
@@ -29,6 +30,7 @@ def crossings_of_rows(rows: Sequence[CrossingRow]) -> CrossingTable:
         np.repeat(np.array(minute, np.int64), counts),
         np.repeat(np.array(epoch, np.int64), counts),
         np.repeat(np.array(line_id, dtype=np.str_), counts),
+        length_bounds_m,
     )
 
 

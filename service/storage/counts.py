@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Row, Select, Table, select
 from service.storage.count_tables import cells_of, crossings_of_rows, received_of_rows
 from service.storage.database import insert_or_advance
 from service.storage.rows import CellRow, CrossingBlock, MinuteRow
-from service.storage.sites import ordinal_of
+from service.storage.sites import ordinal_of, read_sensor
 from service.storage.tables import cell_minutes, crossing_blocks, traffic_minutes
 from service.traffic.edie import CellTable
 from service.traffic.flow import CrossingTable, Received
@@ -56,7 +56,8 @@ def read_crossings(
     if line_id is not None:
         query = query.where(c.line_id == line_id)
     rows = _rows(connection, query, crossing_blocks, sensor_id, start_us, end_us)
-    return crossings_of_rows([tuple(row) for row in rows]).between(start_us, end_us)
+    bounds_m = read_sensor(connection, sensor_id, include_archived=True).config.length_bounds_m
+    return crossings_of_rows([tuple(row) for row in rows], bounds_m).between(start_us, end_us)
 
 
 def read_received(connection: Connection, sensor_id: str, start_us: int, end_us: int) -> Received:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.length_class import LENGTH_BOUNDS_M, LENGTH_CLASSES
+from service.formats.length_class import LENGTH_CLASSES
 from service.tracking.model import F64, I64, Bool
 from service.traffic.count_intervals import Confidence, Counted, volume_bounds
 from service.traffic.records import DECIMALS, MINUTE_US
@@ -58,6 +58,7 @@ class CrossingTable:
     y_m: F64
     speed_mps: F64
     length_m: F64
+    length_class: I64  # an index of LENGTH_CLASSES, -1 where the length is not known
     headway_s: F64
     gap_s: F64
     probability: F64
@@ -73,18 +74,16 @@ class CrossingTable:
         """Return the crossings in [start_us, end_us)."""
         return self.take((self.time_us >= start_us) & (self.time_us < end_us))
 
-    @property
-    def length_class(self) -> I64:
-        """Return the length class of each, an index of LENGTH_CLASSES, -1 where the length is not known."""
-        found = np.searchsorted(np.array(LENGTH_BOUNDS_M), self.length_m, side="right")
-        return np.where(np.isnan(self.length_m), -1, found)
 
-
-def crossing_table(records: NDArray[np.void], minute: I64, epoch: I64, line_id: Text) -> CrossingTable:
+def crossing_table(
+    records: NDArray[np.void], minute: I64, epoch: I64, line_id: Text, length_bounds_m: Sequence[float]
+) -> CrossingTable:
     """Return records of CROSSING with their minute, epoch and line (N,) as a table by time."""
     columns: dict[str, Any] = {name: records[name].astype(np.int64) for name in _WHOLE}
     columns |= {name: np.round(records[name].astype(np.float64), DECIMALS) for name in _REAL}
     time_us = minute * MINUTE_US + records["time_us"]
+    longer = np.searchsorted(np.array(length_bounds_m), columns["length_m"], side="right")
+    columns["length_class"] = np.where(np.isnan(columns["length_m"]), -1, longer)
     table = CrossingTable(time_us=time_us, epoch=epoch, line_id=line_id, **columns)
     return table.take(np.lexsort((table.number, epoch, time_us)))
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from pyproj import Geod
 
 from service.formats.georeference import Pose, pose_of, to_east_north, to_wgs84
-from service.formats.length_class import length_class
+from service.formats.length_class import LENGTH_BOUNDS_M, length_class
 from service.formats.sensor import SensorConfig
 from service.formats.track_exports import (
     STATE_COLUMNS,
@@ -128,10 +129,29 @@ def test_the_pose_needs_both_coordinates():
 
 @pytest.mark.parametrize(
     ("length_m", "name"),
-    [(None, None), (math.nan, None), (1.9, "motorcycle"), (1.98, "short"), (6.6, "medium"), (14.9, "long")],
+    [(None, None), (math.nan, None), (2.5, "motorcycle"), (2.6, "short"), (6.6, "medium"), (14.9, "long")],
 )
 def test_length_classes_have_half_open_bins(length_m, name):
-    assert length_class(length_m) == name
+    assert length_class(length_m, LENGTH_BOUNDS_M) == name
+
+
+def test_the_shortest_vehicle_that_a_tracker_tells_of_is_a_motorcycle():
+    shortest_m = SensorConfig().tracker_parameters().extent.length_min_m
+
+    assert length_class(shortest_m, SensorConfig().length_bounds_m) == "motorcycle"
+
+
+def test_the_bounds_of_the_length_classes_are_a_setting_of_the_sensor():
+    e = estimates(np.random.default_rng(2), 2)
+    e.length_m[:] = 3.0
+    config = SensorConfig.model_validate({"length_bounds_m": [3.5, 7.0, 12.0]})
+
+    tracks = live_tracks(LiveContext("radar-1", 1, None, config.length_bounds_m), SECOND * 1_000_000, e)
+
+    assert [track["length_class"] for track in tracks] == ["motorcycle"] * 2
+    for wrong in ([2.5, 2.5, 9.0], [2.5, 9.0], [-1.0, 2.0, 3.0]):
+        with pytest.raises(ValidationError):
+            SensorConfig.model_validate({"length_bounds_m": wrong})
 
 
 def test_csv_states_read_back_with_their_units():

@@ -66,6 +66,15 @@ def test_the_last_summary_of_a_track_tells_its_whole_life():
     assert first.width_m is None
 
 
+def test_a_track_is_classed_by_the_bounds_of_its_sensor():
+    frames = recording(30)
+    config = CONFIG.model_copy(update={"length_bounds_m": (2.6, 4.0, 14.9)})  # the tracks are 4.5 m long
+
+    _, outputs = fold_records(records(frames), start("radar-1", 1, config, simple_tracker))
+
+    assert {row.length_class for row in all_rows(outputs).tracks} == {"medium"}
+
+
 def test_a_summary_is_given_at_confirmation_with_each_block_and_at_the_end():
     frames = recording(30, vehicles=1)
 

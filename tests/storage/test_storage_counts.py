@@ -1,14 +1,18 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.errors import NotFound
+from service.formats.length_class import LENGTH_CLASSES
+from service.formats.sensor import SensorConfig
 from service.storage.counts import known_lines, read_cells, read_crossings, read_received, save_counts
 from service.storage.database import connection, session_scope
 from service.storage.rows import CellRow, CrossingBlock, MinuteRow
+from service.storage.sites import update_sensor
 from service.traffic.cells import CELL
 from service.traffic.records import MINUTE_US, Crossing, record_of
 from tests.storage.conftest import NOW_US, START_S
@@ -16,13 +20,15 @@ from tests.storage.conftest import NOW_US, START_S
 MINUTE = START_S // 60
 
 
-def block(*seconds, line_id="C40", minute=MINUTE, part=0, as_of=5, epoch=1) -> CrossingBlock:
+def block(
+    *seconds, line_id="C40", minute=MINUTE, part=0, as_of=5, epoch=1, length_m=math.nan
+) -> CrossingBlock:
     """A block with a crossing at each of these seconds of its minute."""
     records = b"".join(
         record_of(
             Crossing(
                 line_id=line_id, time_us=minute * MINUTE_US + round(second * 1e6), track=k + 1, vehicle=k + 1,
-                frame=k, lane=2, direction=-1, x_m=1.0, y_m=40.0, speed_mps=12.3456, length_m=float("nan"),
+                frame=k, lane=2, direction=-1, x_m=1.0, y_m=40.0, speed_mps=12.3456, length_m=length_m,
                 probability=0.99, number=k + 1,
             )
         ).tobytes()
@@ -42,6 +48,17 @@ def crossings(engine, start_s=0, end_s=120, **given):
         return read_crossings(
             reader, "radar-1", base_us + start_s * 1_000_000, base_us + end_s * 1_000_000, **given
         )
+
+
+def test_stored_crossings_are_classed_by_the_bounds_that_the_sensor_has_now(engine, sensor):
+    save(engine, crossings=[block(1.0, length_m=2.2), block(2.0, minute=MINUTE + 1)])
+    before = crossings(engine)
+    with session_scope(engine) as writer:
+        config = SensorConfig(sensor_id=sensor, length_bounds_m=(2.0, 6.55, 14.9))
+        update_sensor(writer, sensor, {"config": config}, now_us=NOW_US)
+
+    assert before.length_class.tolist() == [LENGTH_CLASSES.index("motorcycle"), -1]
+    assert crossings(engine).length_class.tolist() == [LENGTH_CLASSES.index("short"), -1]
 
 
 def test_a_block_gives_way_only_to_a_later_one(engine, sensor):

@@ -12,6 +12,7 @@ from scipy.stats import nbinom, poisson
 
 from service.api.flow_json import rows_json
 from service.errors import InvalidInput, NotFound
+from service.formats.length_class import LENGTH_BOUNDS_M
 from service.formats.local_days import interval_edges_us
 from service.formats.rfc3339 import parse_time_us
 from service.storage.flow_exports import csv_rows, pems_rows
@@ -49,7 +50,8 @@ def table_of(*crossings):
     records = b"".join(record_of(crossing).tobytes() for crossing in crossings)
     minutes = np.array([crossing.time_us // MINUTE_US for crossing in crossings], np.int64)
     lines = np.array([crossing.line_id for crossing in crossings], dtype=np.str_)
-    return crossing_table(np.frombuffer(records, CROSSING), minutes, np.ones(len(crossings), np.int64), lines)
+    epoch = np.ones(len(crossings), np.int64)
+    return crossing_table(np.frombuffer(records, CROSSING), minutes, epoch, lines, LENGTH_BOUNDS_M)
 
 
 def crossing(second, speed_mps=15.0, *, number=1, line_id="C40", **given):
