@@ -307,8 +307,10 @@ def intervals(results: list[Counted], confidence: Confidence) -> dict[str, float
                     if x.line_id == line and lane_name(c, x) == lane and begin_us <= x.time_us < end_us
                 ]
                 rows.append((true, *_cell(mine, share)))
-    true, n, doubt, observed, density, far = np.array(rows).T
-    cells = count_intervals.Counted(n.astype(int), doubt, observed, density, far)
+    true, n, doubt, observed, density, far, headways, spread = np.array(rows).T
+    cells = count_intervals.Counted(
+        n.astype(int), doubt, observed, density, far, headways.astype(int), spread
+    )
     low, high = count_intervals.volume_bounds(cells, confidence)
     return {
         "interval_cells": len(true),
@@ -321,12 +323,14 @@ def intervals(results: list[Counted], confidence: Confidence) -> dict[str, float
 
 
 def _cell(mine: list[Crossing], share: float) -> tuple[float, ...]:
-    """Count, doubt, observed share, density a metre and range of the crossings of one cell."""
+    """Count, doubt, observed share, density a metre, range, headways and their spread of one cell."""
     if not mine:
-        return 0.0, 0.0, share, 0.0, 0.0
+        return 0.0, 0.0, share, 0.0, 0.0, 0.0, 0.0
     density = sum(1 / x.speed_mps for x in mine) / 60
     far = float(np.mean([np.hypot(x.x_m, x.y_m) for x in mine]))
-    return len(mine), sum(1 - x.probability for x in mine), share, density, far
+    known = np.array([x.headway_s for x in mine if not np.isnan(x.headway_s)])
+    spread = float(np.sum((known / known.mean() - 1) ** 2)) if len(known) else 0.0
+    return len(mine), sum(1 - x.probability for x in mine), share, density, far, len(known), spread
 
 
 def report(results: list[Counted]) -> dict[str, object]:

@@ -1,28 +1,41 @@
 """The interval in which the true volume lies: what may be false among the counted, what may be missing.
 
-Counted are n vehicles, each real with its own probability, in the observed share of the time. The number of
-false ones is Poisson with mean sum(1 - p_i). Each vehicle is counted with probability c = observed (1 - h), h
-the share of vehicles that others hide; the number of missed ones is then negative binomial with n + 1/2
-successes (the predictive distribution under the Jeffreys prior of a Poisson rate), widened because h itself
-is known to half of its value only. Their outer quantiles bound the volume.
+Counted are n vehicles, each real with its own probability, in the share o of the time that was observed. The
+true volume is n - F + M. F, the false ones, is Poisson with mean sum(1 - p_i). M, the missed, has two parts:
+
+    hidden by others:  each vehicle with chance h, mean n h / (1 - h), variance mean / (1 - h) + (d mean)^2,
+                       since h itself is known to the share d of its value only
+    not observed:      mean (n - F + hidden) (1 - o) / o, variance I mean / o: that of a count process whose
+                       rate is estimated from the time observed, I its variance over its mean
+
+with n + 1/2 for n (Jeffreys prior of a rate). For a renewal process I is the squared coefficient of
+variation of its headways: 1 for traffic at random, 0.2 to 0.5 where vehicles follow one another. It is taken
+from the headways of the cell itself, drawn towards 1 with the weight of four of them.
+
+M is binomial, Poisson or negative binomial, as its variance is below, at or above its mean. The bounds hold
+the most likely volumes that are as probable as the level together (highest density); since volumes are whole
+numbers they are more probable than that by a few percent, the more the fewer vehicles may be missing.
 
 Who is hidden: the ray to a vehicle at range r passes the roofs before it, and their shadows grow with their
 number and steeply with r: h = 1 - (1 - m) exp(-a k (r / 20 H)^4), with k the density of a lane and H the
-height of the radar. a = 8 m was measured on simulated roads, docs/counts.md.
+height of the radar. a and m were measured on simulated roads, docs/counts.md.
 
-Source: Gelman et al., Bayesian Data Analysis, 3rd ed., section 2.6 (Poisson counts with exposure).
+Sources: Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.3 and 2.6; Cox, Renewal Theory, 1962,
+section 3.3; the three distributions by their one recursion: Panjer, ASTIN Bulletin 12 (1981) 22-26.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
 from service.tracking.model import F64, I64
 
-_SUMMED = 30.0  # mean up to which probabilities are added up one by one: most minutes, and ten times as fast
+_SUMMED = 30.0  # mean up to which probabilities are added up one by one; above, a normal distribution does
+_TAIL_STDS = 8.0  # beyond which they are not
+_FLAT = 1e-6  # relative, of variance and mean: a Poisson distribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +44,13 @@ class Confidence:
 
     level: float = 0.95
     mount_height_m: float = 6.0
-    miss_share: float = 0.005  # of vehicles in plain view
-    false_share: float = 0.005  # of counted ones, beyond what their existence says
-    hiding_m: float = 8.0  # shadow of a vehicle, at the range of 20 mounting heights
+    miss_share: float = 0.002  # of vehicles in plain view
+    false_share: float = 0.005  # of counted ones, whatever their existence says
+    hiding_m: float = 4.7  # shadow of a vehicle, at the range of 20 mounting heights
     hiding_heights: float = 20.0
     hiding_power: float = 4.0
     hiding_deviation: float = 0.5  # relative, of the share hidden
+    random_headways: float = 4.0  # weight of traffic at random beside the headways seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +62,8 @@ class Counted:
     observed: F64  # share of the time in which frames came
     density_per_m: F64  # vehicles a metre of lane
     range_m: F64  # from the radar to where they crossed
+    headways: I64  # that are known
+    headway_spread: F64  # their sum of squared deviations, over their squared mean; 0 without any
 
 
 def hidden_share(density_per_m: F64, range_m: F64, c: Confidence) -> F64:
@@ -59,51 +75,70 @@ def hidden_share(density_per_m: F64, range_m: F64, c: Confidence) -> F64:
 
 def volume_bounds(counted: Counted, c: Confidence) -> tuple[I64, I64]:
     """Return the bounds (R,) of the true volume."""
-    tail, n = (1.0 - c.level) / 2, counted.n
-    low = n - poisson_quantile(1.0 - tail, np.maximum(counted.doubt, c.false_share * n))
-    hidden = np.minimum(hidden_share(counted.density_per_m, counted.range_m, c), 0.9)
-    caught = np.clip(counted.observed * (1.0 - hidden), 1e-3, 1.0)
-    mean = (n + 0.5) * (1.0 - caught) / caught
-    deviation = c.hiding_deviation * (n + 0.5) * hidden / (1.0 - hidden)
-    variance = np.maximum(mean / caught + deviation**2, mean * (1 + 1e-6))
-    high = n + nbinom_quantile(1.0 - tail, mean**2 / (variance - mean), mean / variance)
-    return np.maximum(low, 0).astype(np.int64), np.asarray(high).astype(np.int64)
+    n, observed = counted.n, np.clip(counted.observed, 1e-3, 1.0)
+    false = np.maximum(counted.doubt, c.false_share * n)
+    density = counted.density_per_m / observed  # of vehicles there while frames came
+    hidden = np.minimum(hidden_share(density, counted.range_m, c), 0.9)
+    passed = (n + 0.5) / (1.0 - hidden)  # in the time observed, the hidden among them
+    unseen = passed * (1.0 - observed) / observed
+    index = (c.random_headways + counted.headway_spread) / (
+        c.random_headways + np.maximum(counted.headways - 1, 0)
+    )
+    mean = passed * hidden + unseen
+    variance = passed * hidden / (1.0 - hidden) + index * unseen / observed
+    variance += (c.hiding_deviation * passed * hidden / observed) ** 2
+    low, high = _most_likely(mean, variance, false, c.level)
+    return np.maximum(n + low, 0), n + high
 
 
-def poisson_quantile(share: float, mean: F64) -> I64:
-    """Return for each mean (R,) the smallest k with P(X <= k) >= share."""
-    many = np.flatnonzero(mean > _SUMMED)
-    few = np.where(mean > _SUMMED, 0.0, mean)
-    out = _summed(share, np.exp(-few), lambda k, rows: few[rows] / (k + 1))
-    if len(many):
-        from scipy.stats import poisson  # noqa: PLC0415 - half a second of import, for who asks for long intervals
+def _most_likely(mean: F64, variance: F64, false: F64, level: float) -> tuple[I64, I64]:
+    """Return the bounds (R,) of missed - false, by the moments of the missed and of the Poisson false."""
+    half = NormalDist().inv_cdf((1.0 + level) / 2) * np.sqrt(variance + false)
+    low = np.floor(mean - false - half).astype(np.int64)
+    high = np.ceil(mean - false + half).astype(np.int64)
+    size = np.maximum(mean + _TAIL_STDS * np.sqrt(variance), false + _TAIL_STDS * np.sqrt(false))
+    bucket = np.where(np.maximum(mean, false) > _SUMMED, -1, np.ceil(np.log2(size + 4.0)).astype(np.int64))
+    for power in np.unique(bucket[bucket >= 0]).tolist():  # rows of about the same length together
+        rows = np.flatnonzero(bucket == power)
+        missed = counting_pmf(mean[rows], variance[rows], 2**power)
+        found = highest_density(_difference(missed, counting_pmf(false[rows], false[rows], 2**power)), level)
+        low[rows], high[rows] = found[0] - 2**power + 1, found[1] - 2**power + 1
+    return low, high
 
-        out[many] = poisson.ppf(share, mean[many])
+
+def counting_pmf(mean: F64, variance: F64, size: int) -> F64:
+    """Return the probabilities (R, size) of 0, 1, ...: binomial, Poisson or negative binomial.
+
+    All obey P(k) = (a + b / k) P(k - 1) with 1 / (1 - a) = variance / mean, a + b = mean^2 / variance.
+    """
+    mean = np.maximum(mean, 1e-12)
+    variance = np.maximum(variance, 1e-12)
+    a = 1.0 - mean / variance
+    a = np.where(np.abs(a) < _FLAT, 0.0, a)
+    total = mean * (1.0 - a)  # a + b
+    first = np.where(a == 0.0, -mean, total / np.where(a == 0.0, 1.0, a) * np.log1p(-a))
+    factors = np.maximum(a[:, None] + (total - a)[:, None] / np.arange(1, size), 0.0)  # 0: a binomial's end
+    pmf = np.exp(first)[:, None] * np.cumprod(np.column_stack([np.ones(len(mean)), factors]), axis=1)
+    return np.asarray(pmf / pmf.sum(axis=1, keepdims=True))
+
+
+def _difference(missed: F64, false: F64) -> F64:
+    """Return the probabilities (R, 2 K - 1) of missed - false = 1 - K, ..., K - 1, of (R, K) each."""
+    size = missed.shape[1]
+    out = np.zeros((len(missed), 2 * size - 1))
+    for k in range(size):
+        if not false[:, k].any():
+            break
+        out[:, size - 1 - k : 2 * size - 1 - k] += false[:, k : k + 1] * missed
     return out
 
 
-def nbinom_quantile(share: float, successes: F64, p: F64) -> I64:
-    """Return the smallest k failures, P(X <= k) >= share, before so many `successes` (R,) of chance `p`."""
-    large = successes * (1.0 - p) / p > _SUMMED
-    many, miss = np.flatnonzero(large), np.where(large, 0.0, 1.0 - p)
-    first = np.exp(successes * np.log1p(-miss))
-    out = _summed(share, first, lambda k, rows: (successes[rows] + k) / (k + 1) * miss[rows])
-    if len(many):
-        from scipy.stats import nbinom  # noqa: PLC0415
-
-        out[many] = nbinom.ppf(share, successes[many], p[many])
-    return out
-
-
-def _summed(share: float, first: F64, growth: Callable[[int, I64], F64]) -> I64:
-    """Add P(X = k) up from k = 0 until the share is reached in every row; P(X = k + 1) = growth P(X = k)."""
-    out = np.zeros(len(first), np.int64)
-    rows, mass, total, k = np.arange(len(first)), first, first, 0
-    while True:
-        left = total < share
-        rows, mass, total = rows[left], mass[left], total[left]
-        if not len(rows):
-            return out
-        mass = mass * growth(k, rows)
-        total, k = total + mass, k + 1
-        out[rows] = k
+def highest_density(pmf: F64, level: float) -> tuple[I64, I64]:
+    """Return first and last place (R,) of the fewest values that are as probable as the level together."""
+    order = np.argsort(-pmf, axis=1, kind="stable")
+    total = np.cumsum(np.take_along_axis(pmf, order, axis=1), axis=1)
+    count = np.argmax(total >= min(level, 1.0 - 1e-9), axis=1)
+    last = order.shape[1] - 1
+    chosen = np.where(np.arange(last + 1) <= count[:, None], order, -1)
+    low = np.where(chosen < 0, last, chosen).min(axis=1)
+    return low.astype(np.int64), chosen.max(axis=1).astype(np.int64)

@@ -86,13 +86,15 @@ def count(
     cells = drive(state.cells, ruler, joined, scan.lane, now_us)
     coverage = state.coverage
     if not moment.tick:
+        if coverage.last_us is not None and now_us - coverage.last_us > p.blind_s * 1e6:
+            state = replace(state, leaders=())  # who drove between them was not seen
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
     mapped: tuple[MinuteBlock, ...] = state.blocks
     relabelled_blocks: tuple[MinuteBlock, ...] = ()
     if ruler is not state.ruler and lanes.lanes:
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    crossings, leaders = _followed(found, state, ruler, p)
+    crossings, leaders = _followed(found, state, window, ruler, p)
     blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
     grown = _newest(relabelled_blocks, grown)
     state = CountState(
@@ -124,11 +126,12 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
 
 
 def _followed(
-    found: Sequence[Crossing], state: CountState, ruler: Ruler, p: CountParameters
+    found: Sequence[Crossing], state: CountState, window: Sequence[Scan], ruler: Ruler, p: CountParameters
 ) -> tuple[tuple[Crossing, ...], tuple[Leader, ...]]:
     """Return the crossings with number, map, headway and gap, and whom the next ones follow."""
     if not found:
         return (), state.leaders
+    since_us = _seen_since_us(window, p)
     leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
     lines = {line.line_id: line for line in state.lines}
     place = np.array([(crossing.x_m, crossing.y_m) for crossing in found])
@@ -144,7 +147,7 @@ def _followed(
         if leader is not None and front_us > leader.front_us:
             headway_s = (front_us - leader.front_us) / 1e6
             gap_s = headway_s - leader.passing_s
-        if lane and (leader is None or front_us > leader.front_us):
+        if lane and front_us >= since_us and (leader is None or front_us > leader.front_us):
             leaders[key] = Leader(*key, front_us, passing)
         crossings.append(
             replace(
@@ -152,6 +155,17 @@ def _followed(
             )
         )
     return tuple(crossings), tuple(leaders.values())
+
+
+def _seen_since_us(window: Sequence[Scan], p: CountParameters) -> int:
+    """Return when frames came again after the last blind stretch that the window shows, 0 without one."""
+    since_us, last = 0, window[0]
+    for scan in window:
+        if scan.frame != last.frame:  # else a tick of a gap
+            if scan.time_us - last.time_us > p.blind_s * 1e6:
+                since_us = scan.time_us
+            last = scan
+    return since_us
 
 
 def _collected(

@@ -205,7 +205,9 @@ def _measured(
     density = np.where(n > 0, flow_vph / (3.6 * np.where(n > 0, space_mean, 1.0)), 0.0)
     range_m = np.nan_to_num(_ratio(_sum(cell, np.hypot(c.x_m, c.y_m), count), n))
     lanes = _lanes(c, cell, count)
-    low, high = volume_bounds(Counted(n, doubt, observed, density / lanes / 1e3, range_m), confidence)
+    headways, spread = _headway_spread(c, cell, count)
+    counted = Counted(n, doubt, observed, density / lanes / 1e3, range_m, headways, spread)
+    low, high = volume_bounds(counted, confidence)
     return FlowTable(
         start_us=start_us.astype(np.int64),
         end_us=end_us.astype(np.int64),
@@ -236,6 +238,16 @@ def _lanes(c: CrossingTable, cell: I64, count: int) -> I64:
     most = int(c.lane.max(initial=0)) + 1
     pairs = np.unique(cell * most + c.lane)
     return np.maximum(np.bincount(pairs // most, minlength=count), 1)
+
+
+def _headway_spread(c: CrossingTable, cell: I64, count: int) -> tuple[I64, F64]:
+    """Return how many headways of each cell are known, and their squared deviations in means."""
+    known = ~np.isnan(c.headway_s)
+    headway_s, cell = c.headway_s[known], cell[known]
+    number = np.bincount(cell, minlength=count)
+    mean = _ratio(_sum(cell, headway_s, count), number)
+    deviation = headway_s / np.maximum(mean[cell], 1e-3) - 1.0
+    return number, _sum(cell, deviation**2, count)
 
 
 def _sum(cell: I64, values: F64, count: int) -> F64:

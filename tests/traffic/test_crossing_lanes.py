@@ -81,3 +81,33 @@ def test_crossings_before_the_first_map_get_lanes_and_headways_with_it():
     assert np.isnan(by_track[1]["headway_s"])
     assert np.isnan(by_track[3]["headway_s"])
     assert {x.lane for x in state.leaders} == {1, 2}
+
+
+def test_a_headway_over_time_without_frames_is_not_known():
+    way = approach()
+    there = drive(9, np.full(260, 100.0))  # so that no frame is without a vehicle
+    frames = merged(drive(1, way), [None] * 160 + drive(2, way), [None] * 190 + drive(3, way), there)
+    for blind in (range(0), range(90, 130)):  # two seconds between the first vehicle and the second
+        state, told = nothing_counted(), {}
+        for k, now in enumerate(frames):
+            if k not in blind:
+                moment = Moment(START_US + k * FRAME_US, k, tick=False)
+                state, counts = count(state, moment, now, LANES, SETUP)
+                told |= {x.track: x.headway_s for x in counts.crossings}
+
+        assert np.isnan(told[2]) == (len(blind) > 0)
+        assert told[3] == pytest.approx(30 * FRAME_US / 1e6, abs=0.02)
+
+
+def test_who_crossed_before_a_blind_stretch_and_is_told_after_it_leads_nobody():
+    way = approach()  # over the line at frame 33, told ten frames later
+    frames = merged(drive(1, way), [None] * 100 + drive(2, way), drive(9, np.full(170, 100.0)))
+    state, told = nothing_counted(), {}
+    for k, now in enumerate(frames):
+        if k not in range(40, 64):
+            moment = Moment(START_US + k * FRAME_US, k, tick=False)
+            state, counts = count(state, moment, now, LANES, SETUP)
+            told |= {x.track: x.headway_s for x in counts.crossings}
+
+    assert sorted(told) == [1, 2]
+    assert np.isnan(told[2])

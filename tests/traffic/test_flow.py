@@ -8,7 +8,7 @@ import orjson
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import nbinom, poisson
+from scipy.stats import binom, nbinom, poisson
 
 from service.api.flow_json import rows_json
 from service.errors import InvalidInput, NotFound
@@ -20,8 +20,8 @@ from service.traffic.count_check import check
 from service.traffic.count_intervals import (
     Confidence,
     Counted,
-    nbinom_quantile,
-    poisson_quantile,
+    counting_pmf,
+    highest_density,
     volume_bounds,
 )
 from service.traffic.flow import Group, Received, covered, crossing_table, flow_table, percentile
@@ -174,11 +174,12 @@ def test_a_row_is_opened_by_its_name():
             parse_row_name(wrong)
 
 
-def counted(n, *, doubt=0.0, observed=1.0, density_per_km=10.0, range_m=40.0):
+def counted(n, *, doubt=0.0, observed=1.0, density_per_km=10.0, range_m=40.0, headways=0, spread=0.0):
     shape = np.ones(np.size(n))
     return Counted(
-        np.atleast_1d(n), doubt * shape, observed * shape, density_per_km / 1e3 * shape, range_m * shape
-    )
+        np.atleast_1d(n), doubt * shape, observed * shape, density_per_km / 1e3 * shape, range_m * shape,
+        np.broadcast_to(headways, np.shape(shape)), spread * shape,
+    )  # fmt: skip
 
 
 def test_the_interval_of_a_volume_grows_with_doubt_with_time_not_seen_and_with_what_hides():
@@ -192,16 +193,45 @@ def test_the_interval_of_a_volume_grows_with_doubt_with_time_not_seen_and_with_w
     assert [bound.tolist() for bound in volume_bounds(counted(0), Confidence())] == [[0], [0]]
 
 
-def test_the_interval_holds_the_truth_as_often_as_it_says():
-    rng = np.random.default_rng(5)  # 2,000 intervals; binomial standard deviation 0.5 %
-    level = Confidence(miss_share=0.05, false_share=0.02)
-    true = rng.poisson(rng.uniform(2, 40, 2000))
-    observed = rng.uniform(0.6, 1.0, 2000)
-    found = rng.binomial(true, observed * 0.95)
-    found += rng.poisson(0.02 * found)
-    low, high = volume_bounds(counted(found, observed=observed, range_m=0.0), level)
+def test_where_vehicles_follow_one_another_fewer_may_be_missing_than_at_random():
+    at_random = volume_bounds(counted(40, observed=0.7, headways=40, spread=39.0), Confidence())
+    in_a_row = volume_bounds(counted(40, observed=0.7, headways=40, spread=4.0), Confidence())
+    unknown = volume_bounds(counted(40, observed=0.7), Confidence())
 
-    assert 0.93 <= np.mean((low <= true) & (true <= high)) <= 0.995  # counts are whole: never less than 95 %
+    assert unknown == at_random
+    assert in_a_row[1] - in_a_row[0] < 0.7 * (at_random[1] - at_random[0])
+    assert np.mean(in_a_row) == pytest.approx(np.mean(at_random), abs=1)  # as many are likely to be
+
+
+def renewals(rng, rate_per_s, shape, end_s):
+    """Arrivals in [0, end_s) whose headways are of a gamma distribution with this shape."""
+    number = int(3 * rate_per_s * end_s) + 30
+    return np.cumsum(rng.gamma(shape, 1 / (shape * rate_per_s), number)) - rng.uniform(0, 1 / rate_per_s)
+
+
+@pytest.mark.parametrize("shape", [1.0, 4.0])  # Poisson arrivals, and vehicles that follow one another
+def test_the_interval_holds_the_truth_as_often_as_it_says(shape):
+    rng = np.random.default_rng(5)  # 1,500 intervals; binomial standard deviation 0.6 %
+    level = Confidence(miss_share=0.05, false_share=0.02, hiding_deviation=0.0)
+    cells, true = [], []
+    for rate_per_s in rng.uniform(0.1, 0.6, 1500):
+        seen_s = rng.uniform(36, 60)
+        arrivals = renewals(rng, rate_per_s, shape, 60)
+        arrivals = arrivals[(arrivals >= 0) & (arrivals < 60)]
+        seen = arrivals[(arrivals < seen_s) & (rng.uniform(size=len(arrivals)) < 0.95)]
+        n = len(seen) + rng.poisson(0.02 * len(seen))
+        headways = np.diff(seen)
+        spread = np.sum((headways / headways.mean() - 1) ** 2) if len(headways) else 0.0
+        cells.append((n, seen_s / 60, len(headways), spread))
+        true.append(len(arrivals))
+    n, observed, headways, spread = np.array(cells).T
+    found = counted(
+        n.astype(int), observed=observed, range_m=0.0, headways=headways.astype(int), spread=spread
+    )
+
+    low, high = volume_bounds(found, level)
+
+    assert 0.92 <= np.mean((low <= true) & (true <= high)) <= 0.98
 
 
 @pytest.mark.parametrize(
@@ -335,13 +365,37 @@ def test_groups_are_those_seen():
     ]
 
 
-def test_quantiles_of_volumes_are_those_of_their_distributions(rng):
-    mean = np.concatenate([[0.0, 1e-9, 29.9, 30.1, 2000.0], rng.uniform(0, 60, 500)])
-    successes, p = rng.uniform(0.5, 300, 2000), rng.uniform(0.001, 1 - 1e-9, 2000)
+def test_counts_of_missed_vehicles_are_binomial_poisson_or_negative_binomial_by_their_variance():
+    k = np.arange(128)
 
-    for share in (0.9, 0.975):
-        assert np.array_equal(poisson_quantile(share, mean), poisson.ppf(share, mean).clip(0))
-        assert np.array_equal(nbinom_quantile(share, successes, p), nbinom.ppf(share, successes, p))
+    found = counting_pmf(np.array([6.0, 6.0, 6.0, 0.0]), np.array([4.5, 6.0, 12.0, 0.0]), 128)
+
+    np.testing.assert_allclose(found[0], binom.pmf(k, 24, 0.25), atol=1e-12)
+    np.testing.assert_allclose(found[1], poisson.pmf(k, 6.0), atol=1e-12)
+    np.testing.assert_allclose(found[2], nbinom.pmf(k, 6.0, 0.5), atol=1e-12)
+    assert found[3, 0] == pytest.approx(1.0)
+
+
+def test_the_most_likely_values_are_as_few_as_can_be(rng):
+    pmf = np.stack([np.sort(rng.dirichlet(np.ones(9))) for _ in range(50)])
+    pmf = np.concatenate([pmf[:, 1::2], pmf[:, ::-2]], axis=1)  # one hill each
+
+    low, high = highest_density(pmf, 0.9)
+
+    total = np.concatenate([np.zeros((50, 1)), np.cumsum(pmf, axis=1)], axis=1)
+    for i in range(50):
+        share = total[i][None, 1:] - total[i][:-1, None]  # of first to last
+        enough = [b - a for a in range(9) for b in range(a, 9) if share[a, b] >= 0.9]
+        assert share[low[i], high[i]] >= 0.9
+        assert high[i] - low[i] == min(enough)
+
+
+def test_many_vehicles_have_the_bounds_of_a_normal_distribution_that_few_go_over_to():
+    n = np.array([2850, 2950])  # of which 28.8 and 29.8 are likely to be missing
+    few, many = volume_bounds(counted(n, observed=0.99, range_m=0.0), Confidence(hiding_deviation=0.0))
+
+    assert np.diff(few)[0] == pytest.approx(100, abs=2)
+    assert np.diff(many)[0] == pytest.approx(101, abs=2)
 
 
 def test_percentiles_of_cells_are_those_of_numpy(rng):
