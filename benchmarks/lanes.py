@@ -11,13 +11,16 @@ time of the traffic stages alone, without the first second.
 from __future__ import annotations
 
 import argparse
+import csv
 import dataclasses
+import gzip
 import json
 import math
 import platform
 import sys
 import tempfile
 import time
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +37,7 @@ from service.evaluation.recorded import FoundChange, FoundLane, RecordedTracks, 
 from service.evaluation.rules import RULES
 from service.evaluation.truth import Scene, TruthChange, read_scene
 from service.formats.json_frames import read_frames
+from service.formats.length_class import length_class
 from service.formats.sensor import SensorConfig
 from service.simulation.scenario import from_trajectories
 from service.simulation.scene_files import write_scene
@@ -53,6 +57,9 @@ MAST_M = 30.0  # before the first vehicle of real trajectories
 USED_BY = 5  # vehicles in sight, for a true lane to count
 ONE_LANE_M = 1.75  # from the middle of a lane to a vehicle in it
 NEAR_M = 1.2  # of a true lane to the learned one that is taken for it
+AWAY_S = 3.0  # from a true change of lanes: the lane of a vehicle is beyond doubt
+CLASSED_FRAMES = 20  # that a vehicle was followed for, before its length class is judged
+Labels = dict[tuple[int, int], tuple[str, str]]
 
 
 @dataclass
@@ -63,6 +70,7 @@ class Run:
     live: LaneMap
     changes: list[LaneChange] = field(default_factory=list)
     scans: list[tuple[int, int, TrackEstimates]] = field(default_factory=list)  # frame, time, tracks
+    maps: list[LaneMap] = field(default_factory=list)  # in force at each of them
     ms: list[float] = field(default_factory=list)
 
 
@@ -78,6 +86,7 @@ def run(frames: Iterable[Frame], config: SensorConfig) -> Run:
         found.ms.append(1e3 * (time.process_time() - begun))
         found.changes += out.changes
         found.scans.append((moment.frame, frame.time_us, estimates))
+        found.maps.append(traffic.map)
     time_us = moment.time_us
     for _ in range(10):  # until every track has ended
         time_us += 1_000_000
@@ -114,6 +123,9 @@ def measure(directory: Path) -> dict[str, object]:
     scores |= score_changes(scene, changes, tracks, matches, RULES)
     scores |= complete_changes(scene, changes, tracks, matches)
     scores |= standing(scene, found, tracks, matches)
+    true = read_labels(directory / "truth.csv.gz")
+    scores |= lane_right(scene, found, tracks, matches, true)
+    scores |= {"classes": length_classes(scene, found, tracks, matches, true)}
     return {
         "scene": scene.name,
         **scores,
@@ -162,6 +174,82 @@ def standing(scene: Scene, found: Run, tracks: RecordedTracks, matches: Matches)
         for k in still
     ]
     return {"standing_states": len(judged), "standing_right": float(np.mean(judged)) if judged else math.nan}
+
+
+def read_labels(path: Path) -> dict[tuple[int, int], tuple[str, str]]:
+    """Return lane and class of each vehicle in each frame of a scene."""
+    with gzip.open(path, "rt", newline="") as file:
+        return {(int(r["frame"]), int(r["id"])): (r["lane"], r["class"]) for r in csv.DictReader(file)}
+
+
+def lane_right(
+    scene: Scene, found: Run, tracks: RecordedTracks, matches: Matches, true: Labels
+) -> dict[str, float | int]:
+    """The share of states in the right lane, of those in a lane, away from the vehicle's true changes.
+
+    The lane that a vehicle is told to be in is the true one beside which its centre line lies there.
+    """
+    here = {frame: (now, lanes) for (frame, _, now), lanes in zip(found.scans, found.maps, strict=True)}
+    beside_of: dict[tuple[int, int], list[str]] = {}
+    right, told, due = 0, 0, 0
+    for f, row, state in zip(matches.frame, matches.row, matches.state, strict=True):
+        number, vehicle = int(scene.number[f]), int(scene.rows.vehicle[row])
+        lane = true[number, vehicle][0]
+        since = scene.time_s[f] - scene.origin_s
+        near = any(c.vehicle == vehicle and abs(c.t_s - since) <= AWAY_S for c in scene.changes)
+        now, lanes = here[number]
+        if near or lane not in {x.lane_id for x in scene.lanes} or not lanes.version:
+            continue
+        due += 1
+        k = int(np.searchsorted(now.number, int(tracks.ids[tracks.track[state]])))
+        mine = lanes.lane(int(now.lane[k]))
+        if mine is None:
+            continue
+        key = (lanes.version, mine.index)
+        if key not in beside_of:
+            beside_of[key] = _true_beside(mine.points_m, scene)
+        place = np.array([now.x_m[k], now.y_m[k]])
+        told += 1
+        right += beside_of[key][int(np.argmin(np.hypot(*(mine.points_m - place).T)))] == lane
+    return {
+        "lane_states": due, "lane_told": told / max(due, 1),
+        "lane_right": right / told if told else math.nan,
+    }  # fmt: skip
+
+
+def _true_beside(points_m: np.ndarray, scene: Scene) -> list[str]:
+    """Return the true lane that lies nearest to each point of a centre line."""
+    names = [lane.lane_id for lane in scene.lanes]
+    away = []
+    for lane in scene.lanes:
+        place = beside(points_m, lane.points)
+        away.append(np.where(place.beyond, np.inf, np.abs(place.right_m)))
+    return [names[k] for k in np.argmin(np.array(away), axis=0)]
+
+
+def length_classes(
+    scene: Scene, found: Run, tracks: RecordedTracks, matches: Matches, true: Labels
+) -> dict[str, dict[str, int]]:
+    """Vehicles by true kind and by the length class last told of the track that followed them for longest."""
+    followed: dict[int, Counter[str]] = defaultdict(Counter)
+    kind: dict[int, str] = {}
+    for f, row, state in zip(matches.frame, matches.row, matches.state, strict=True):
+        vehicle = int(scene.rows.vehicle[row])
+        followed[vehicle][tracks.ids[tracks.track[state]]] += 1
+        kind[vehicle] = true[int(scene.number[f]), vehicle][1]
+    last = {
+        str(number): length
+        for _, _, now in found.scans
+        for number, length in zip(now.number.tolist(), now.length_m.tolist(), strict=True)
+        if not math.isnan(length)
+    }
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for vehicle, by_track in followed.items():
+        track, frames = by_track.most_common(1)[0]
+        if frames >= CLASSED_FRAMES:
+            told = length_class(last.get(track), scene.site.length_bounds_m)
+            table[kind[vehicle]][str(told)] += 1
+    return {name: dict(row) for name, row in sorted(table.items())}
 
 
 def measure_trajectories(path: Path, seed: int) -> dict[str, object]:
@@ -242,8 +330,16 @@ def pooled(results: list[dict]) -> dict[str, object]:
     hits = sum(r["changes_recall"] * r["changes_true"] for r in scenes)
     whole = sum(r["complete_true"] for r in scenes)
     whole_hits = sum(r["complete_recall"] * r["complete_true"] for r in scenes if r["complete_true"])
+    states = sum(r["lane_states"] * r["lane_told"] for r in scenes)
+    classes: dict[str, Counter[str]] = defaultdict(Counter)
+    for r in scenes:
+        for kind, row in r["classes"].items():
+            classes[kind].update(row)
+    right = sum(r["lane_right"] * r["lane_states"] * r["lane_told"] for r in scenes if r["lane_told"])
     return {
-        "scene": "pooled", "changes_true": true, "changes_found": found,
+        "scene": "pooled", "lane_right": right / max(states, 1),
+        "classes": {kind: dict(row) for kind, row in sorted(classes.items())},
+        "changes_true": true, "changes_found": found,
         "changes_recall": hits / max(true, 1), "changes_precision": hits / max(found, 1),
         "complete_true": whole, "complete_recall": whole_hits / max(whole, 1),
     }  # fmt: skip
