@@ -22,6 +22,7 @@ class IdentityParameters:
     offset_m: float = 1.4  # between the centre lines of one lane in two maps
     overlap: float = 0.7  # of the shorter of the two, along which they lie so near and go the same way
     confidence: float = 0.6  # of a lane that is new; one that the map has stays down to learning.confidence
+    confidence_at_end: float = 0.4  # of a new one in the map of a whole recording: no more will tell of it
     same_way: float = 0.8  # cosine between their directions
     shift_m: float = 0.25  # a lane that moved more makes a new map
     longer_m: float = 10.0  # ... or became so much longer or shorter

@@ -95,6 +95,8 @@ def last_words(state: TrafficState) -> Outputs:
 def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
     """Return the map that all evidence up to now tells of: for the end of a recording."""
     p, mapping = setup.parameters, state.mapping
+    identity = replace(p.identity, confidence=p.identity.confidence_at_end)
+    p = replace(p, identity=identity)
     if mapping.given_key or len(mapping.evidence.paths) < p.mapping.paths_min:
         return mapping.map
     lanes = at_once(lane_mapping.lanes_in_steps(mapping.evidence, mapping.map.lanes, mapping.gone, p))

@@ -13,6 +13,7 @@ from service.traffic.mapping import lanes_in_steps
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
 from service.traffic.steps import Progress, at_once
+from tests.traffic.roads import drive, evidence_of, straight
 from tests.traffic.tracks import FRAME_US, START_US, estimates
 
 SETUP = traffic_setup(SensorConfig(sensor_id="radar-1"))
@@ -267,3 +268,22 @@ def test_while_the_map_is_young_every_new_map_judges_anew_what_was_seen(monkeypa
 
     assert len(traced) == len(maps(outputs))
     assert len(changes(outputs)) == 1  # ... and tells a change once
+
+
+def test_the_map_of_a_whole_recording_has_the_lanes_that_few_drove_in():
+    rng = np.random.default_rng(11)  # real drivers wander; five in a lane leave a live map in doubt
+    paths = [
+        drive(3 * k + lane, straight(), 3.6 * lane, rng, sigma_m=0.6) for k in range(5) for lane in range(3)
+    ]
+    gathered = dataclasses.replace(monitor.initial_state().mapping, evidence=evidence_of(paths))
+    p = SETUP.parameters
+    live = at_once(lanes_in_steps(gathered.evidence, (), (), p))
+
+    state = dataclasses.replace(monitor.initial_state(), mapping=gathered)
+    whole = monitor.whole_map(state, SETUP)
+
+    assert len(live) < 3
+    assert [round(float(np.mean(lane.points_m[:, 0])) / 3.6) for lane in whole.lanes] in (
+        [0, 1, 2],
+        [2, 1, 0],
+    )
