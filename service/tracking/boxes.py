@@ -40,6 +40,9 @@ EDGE_POINTS_M = 1.5  # points this near the nearest range ever seen ...
 EDGE_BOX_M = 3.0  # ... of a box whose near face is predicted this near: the near face is cut off
 EDGE_ENTERING_M = 4.0  # of a vehicle that comes in one of the two is enough, with points nearer than this
 EDGE_SPEED_MPS = 1.0
+NARROW_M = 1.2  # a narrower box is a motorcycle's, with echoes at its front, its middle and its rear ...
+NARROW_ECHOES = 3
+NARROW_MARGIN_M = 0.4  # ... the outer ones this much inside the box, both together
 _REACH_M = 22.0  # points further than this from a centre belong to no box: half a road train and a margin
 
 
@@ -338,6 +341,9 @@ def measure_boxes(
             else:
                 first, last = (u_low if alone_low else u_min), (u_high if alone_high else u_max)
                 near = last if s > 0.0 else first
+                if width < NARROW_M and count < NARROW_ECHOES:
+                    # which of a motorcycle's echoes answer is chance: the nearest of all is so much nearer
+                    near += s * (b[BLEN] - NARROW_MARGIN_M) * (NARROW_ECHOES - count) / (NARROW_ECHOES + 1)
                 out[q, M_U] = near + s * (0.05 - half)
             out[q, M_VAR_U] = std * std
         else:

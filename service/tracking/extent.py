@@ -18,7 +18,13 @@ class ExtentParameters:
     """Learning of length and heading."""
 
     percentile: float = 75.0  # of the extents of the last hits, nearest rank
-    end_margin_m: float = 0.4  # the outermost echoes lie this much inside the box, both ends together
+    end_margin_m: float = 0.4  # the outermost echoes lie this much inside the box, both ends together ...
+    end_margin_share: float = 0.07  # ... or, of a long vehicle, this share of its length
+    told_points: float = 4.0  # points a hit from which extents tell both ends of a car ...
+    told_points_per_m: float = 0.65  # ... and of a longer vehicle; fewer tell only how long it is at least
+    told_aspect_rad: float = (
+        0.45  # ... as do those of a vehicle that is further from end-on: others hide its end
+    )
     growth_m: float = 0.25  # most that the length grows in a frame
     edge_growth_m: float = 0.8  # ... while the box enters or leaves the view
     shrink_m: float = 0.05
@@ -37,6 +43,7 @@ class ExtentParameters:
     narrow_extent_m: float = 2.6  # a vehicle whose points never span more is short ...
     narrow_points: float = 3.5  # ... if it gives few points, too
     narrow_hits: int = 12  # hits with several points before a vehicle may be found to be short
+    assumed_hits: int = 40  # until then the car's length is but assumed, and given up as fast as a box grows
     turn_above_mps: float = 1.0
     turn_certainty: float = 2.5  # the box turns once its speed is so many standard deviations
     turn_rate_gain: float = (
@@ -90,10 +97,10 @@ def learn(
     heading, length, width = tracks.heading_rad.copy(), tracks.length_m.copy(), tracks.width_m.copy()
     _learn_length(
         mean, heading, length, width, ring, measured, hit, tracks.hits, tracks.points_per_hit, across_std_rad,
-        (p.percentile, p.end_margin_m, p.growth_m, p.edge_growth_m, p.shrink_m, p.frozen_below_mps,
+        (p.percentile, p.growth_m, p.edge_growth_m, p.shrink_m, p.frozen_below_mps,
          float(p.frozen_after_hits), p.length_min_m, p.length_max_m, p.car_length_m, p.narrow_extent_m,
-         p.narrow_points,
-         float(p.narrow_hits)),
+         p.narrow_points, float(p.narrow_hits), float(p.assumed_hits)),
+        (p.end_margin_m, p.end_margin_share, p.told_points, p.told_points_per_m, math.cos(p.told_aspect_rad)),
         (p.wide_from_m, p.wide_m, p.car_width_m, p.narrow_below_m, p.narrow_width_m),
     )  # fmt: skip
     heading_var = tracks.heading_var.copy()
@@ -125,11 +132,13 @@ def learn(
 @kernel
 def _learn_length(
     mean: F64, heading: F64, length: F64, width: F64, ring: F64, measured: F64, hit: Bool, hits: I64,
-    points_per_hit: F64, across_std_rad: float, lengths: tuple[float, ...], widths: tuple[float, ...],
+    points_per_hit: F64, across_std_rad: float, lengths: tuple[float, ...],
+    ends: tuple[float, ...], widths: tuple[float, ...],
 ) -> None:  # fmt: skip
     """Update lengths and widths in place, holding the near face (at the near edge of view, the far one)."""
-    percentile, margin, growth, edge_growth, shrink, frozen_below, frozen_after = lengths[:7]
-    shortest, longest, car, narrow_extent, narrow_points, narrow_hits = lengths[7:]
+    percentile, growth, edge_growth, shrink, frozen_below, frozen_after = lengths[:6]
+    shortest, longest, car, narrow_extent, narrow_points, narrow_hits, assumed_hits = lengths[6:]
+    least_margin, margin_share, told, told_per_m, told_cosine = ends
     wide_from, wide, car_width, narrow_below, narrow_width = widths
     ordered = np.empty(ring.shape[1])
     for i in range(len(length)):
@@ -154,14 +163,21 @@ def _learn_length(
             ordered[at] = past
             count += 1
         rank = min(max(math.ceil(percentile / 100.0 * count) - 1, 0), count - 1)
-        seen = ordered[rank] + margin
-        target = max(seen, car)
+        margin = max(least_margin, margin_share / (1.0 - margin_share) * ordered[rank])
+        seen, most_shrink = ordered[rank] + margin, shrink
+        end_on = abs(math.cos(aspect)) > told_cosine
+        if end_on and points_per_hit[i] >= max(told, told_per_m * length[i]):
+            target = seen
+        elif narrow_below <= length[i] <= car:  # what few points do not show may be there all the same
+            target = max(seen, length[i])
+        else:
+            target = max(seen, car)
         if count >= narrow_hits and seen < narrow_extent and points_per_hit[i] < narrow_points:
-            target = shortest
+            target, most_shrink = shortest, (growth if end_on and hits[i] < assumed_hits else shrink)
         edge = measured[i, M_EDGE] > 0.5
         if edge and math.cos(aspect) > 0.0:  # it comes into view: what is seen of it only grows
             target = max(target, min(extent, ordered[count - 1]) + margin)
-        change = min(max(target - length[i], -shrink), edge_growth if edge else growth)
+        change = min(max(target - length[i], -most_shrink), edge_growth if edge else growth)
         new = min(max(length[i] + change, shortest), longest)
         facing = math.cos(aspect)
         if abs(facing) > 0.5:

@@ -175,6 +175,25 @@ def test_a_point_alone_beyond_the_near_end_is_not_the_near_end(along_m, near_m):
     assert measured[0, b.M_U] == pytest.approx(near_m - 0.05 + 2.2, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("along_m", "centre_m"),
+    [
+        ((-0.9, 0.0, 0.9), 0.05),  # rear, middle and front: the rear is the nearest of all
+        ((0.0, 0.9), 0.5),  # two of the three
+        ((0.0,), 0.05),  # one: it may be any of them, and is the middle one on average
+    ],
+)
+def test_the_nearest_echo_of_a_motorcycle_may_be_any_of_its_three(along_m, centre_m):
+    box, point = receding_car(*along_m)
+    box[0, [b.BLEN, b.BWID]] = 2.2, 0.9
+
+    measured = b.measure_boxes(
+        np.array([0]), np.array([0]), np.zeros(len(point), dtype=np.int64), point, box, 20.0
+    )
+
+    assert measured[0, b.M_U] == pytest.approx(centre_m, abs=0.11)
+
+
 def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p):
     """Return the pairs of one vehicle and whether one is a piece, matrix by matrix."""
     dx, dy = mean[None, :, 0] - mean[:, None, 0], mean[None, :, 3] - mean[:, None, 3]

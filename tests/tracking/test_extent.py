@@ -12,6 +12,8 @@ from service.tracking import births, extent, road_map
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
+    M_U_MAX,
+    M_U_MIN,
     M_VAR_W,
     M_W,
     MEASUREMENT_COLUMNS,
@@ -72,6 +74,46 @@ def test_an_unknown_heading_follows_the_velocity_at_once():
 
     assert turned.heading_rad[0] == pytest.approx(math.pi / 4, abs=0.05)
     assert turned.heading_var[0] < 0.1**2
+
+
+def length_after(frames, extent_m, *, before_m, points, hits=50):
+    """Return length and the place of the rear, which faces the radar, of a box that spans extent_m."""
+    track = one_track(vy=12.0)
+    track = track.but(
+        hits=np.array([hits]),
+        length_m=np.array([before_m]),
+        points_per_hit=np.array([points]),
+        extent_m=np.full((1, 30), np.nan),
+    )
+    measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    measured[0, [M_COUNT, M_U_MIN, M_U_MAX]] = points, -0.5 * extent_m, 0.5 * extent_m
+    always, never, along = np.array([True]), np.array([False]), np.zeros(1)
+    rear_m = track.y_m[0] - 0.5 * before_m
+    for _ in range(frames):
+        track = extent.learn(track, measured, always, never, along, 0.003, DT_S, ExtentParameters())
+        track = track.but(hits=track.hits + 1)
+    assert track.y_m[0] - 0.5 * track.length_m[0] == pytest.approx(rear_m)
+    return track.length_m[0]
+
+
+@pytest.mark.parametrize(
+    ("extent_m", "points", "before_m", "length_m"),
+    [
+        (3.5, 6.0, 4.4, 3.9),  # many points show both ends of a car
+        (3.0, 2.0, 4.4, 4.4),  # few show how long it is at least
+        (3.0, 2.0, 3.9, 3.9),  # ... and take nothing from what many have shown
+        (9.3, 9.0, 9.0, 10.0),  # the outermost echoes of a truck lie deeper inside it
+        (8.0, 3.0, 4.4, 8.0 / 0.93),
+        (1.8, 2.9, 4.4, 2.2),  # a motorcycle
+    ],
+)
+def test_a_length_is_learned_from_the_extents_that_show_it(extent_m, points, before_m, length_m):
+    assert length_after(60, extent_m, before_m=before_m, points=points) == pytest.approx(length_m)
+
+
+def test_a_young_track_is_soon_found_to_be_a_motorcycle():
+    assert length_after(22, 1.8, before_m=4.4, points=2.9, hits=1) == pytest.approx(2.2)
+    assert length_after(22, 1.8, before_m=4.4, points=2.9, hits=50) == pytest.approx(4.4 - 11 * 0.05)
 
 
 def test_sideways_motion_is_bound_most_where_all_drive_one_way():
