@@ -30,6 +30,9 @@ class RoadMapParameters:
     came_from_m: float = (
         8.0  # ... and straight on behind it: what is first seen somewhere has come from there
     )
+    chord_error_rad: float = (
+        0.4  # a track that goes elsewhere than its box points has taken over another vehicle
+    )
     arc_half_turn_rad: float = 0.6  # a sharper turn is no arc of one circle
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
     one_way_agreement: float = 0.97  # length of the mean direction: all within some 15 degrees
@@ -59,6 +62,13 @@ def cell_of(x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[I64, I64, Bool]:
     n_x, n_y = int(2 * p.reach_x_m / p.cell_x_m), int(p.reach_y_m / p.cell_y_m)
     inside = (i >= 0) & (j >= 0) & (i < n_x) & (j < n_y)
     return np.minimum(np.maximum(i, 0), n_x - 1), np.minimum(np.maximum(j, 0), n_y - 1), inside
+
+
+def cell_number(x_m: F64, y_m: F64, p: RoadMapParameters) -> I64:
+    """Return a number for the cell of each place, -1 off the grid or where it is NaN."""
+    known = np.isfinite(x_m) & np.isfinite(y_m)
+    i, j, inside = cell_of(np.where(known, x_m, 0.0), np.where(known, y_m, 0.0), p)
+    return np.asarray(np.where(inside & known, i * 100_000 + j, -1))
 
 
 def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: RoadMapParameters) -> RoadMap:

@@ -145,5 +145,6 @@ def start(
         hit_us=np.full(n, time_us), born_x_m=born.x_m, born_y_m=born.y_m, standing=born.standing,
         detect_rate=np.full(n, 0.7), points_per_hit=born.points.astype(np.float64),
         echo_db=np.full(n, state.echo_reference_db), extent_m=rings, map_cell=np.full(n, -1, dtype=np.int64),
+        way_m=np.full((n, 4), np.nan),
     )  # fmt: skip
     return state.tracks.join(new)

@@ -51,6 +51,7 @@ class Tracks:
     echo_db: F64  # running mean echo strength, R^4 taken out
     extent_m: F64  # (T, EXTENT_MEMORY) extents along the box, NaN where not yet
     map_cell: I64  # last cell taught to the road map, -1 none
+    way_m: F64  # (T, 4) where it was two cells ago and one cell ago, x and y, NaN where not yet
 
     def __len__(self) -> int:
         return len(self.number)
@@ -102,6 +103,7 @@ def no_tracks(memory_size: int) -> Tracks:
         status=np.zeros(0, dtype=np.uint8), hits=i, empty=i,
         born_us=i, hit_us=i, born_x_m=f, born_y_m=f, standing=np.zeros(0, dtype=np.bool_), detect_rate=f,
         points_per_hit=f, echo_db=f, extent_m=np.zeros((0, EXTENT_MEMORY)), map_cell=i,
+        way_m=np.zeros((0, 4)),
     )  # fmt: skip
 
 

@@ -338,21 +338,40 @@ def _slide_standing(
 
 
 def _teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:
-    """Return the state with its road map taught by the established moving tracks that entered a new cell."""
+    """Return the state with its road map taught by the established moving tracks that came on by a cell.
+
+    A place on a track's way is taught the direction of the chord from the place before it to the one behind
+    it, not the heading of the box: headings lag in curves, and follow the map itself.
+    """
     if state.frames % p.road.learn_interval_frames:
         return state
     t = state.tracks
-    i, j, inside = road_map.cell_of(t.x_m, t.y_m, p.road)
-    cell = np.where(inside, i * 100_000 + j, -1)
-    teach = (t.status == _CONFIRMED) & (t.hits >= p.road.learn_hits) & (t.speed_mps > p.road.learn_speed_mps)
-    teach &= (cell != t.map_cell) & inside
-    if not teach.any():
+    here, before, last = np.column_stack([t.x_m, t.y_m]), t.way_m[:, :2], t.way_m[:, 2:]
+    came = np.hypot(*(here - last).T) >= p.road.cell_y_m
+    if not (came | np.isnan(last[:, 0])).any():
         return state
-    new = np.flatnonzero(teach & (t.map_cell < 0) & ~t.standing)
-    here = np.column_stack([t.x_m, t.y_m, t.heading_rad])
-    born = np.column_stack([t.born_x_m, t.born_y_m])
-    ways = [road_map.arc(born[k], here[k, :2], float(here[k, 2]), p.road) for k in new]
-    places = np.concatenate([here[teach], *ways])
-    first = int((teach & (t.map_cell < 0)).sum())
-    road = road_map.teach(state.road, places[:, 0], places[:, 1], places[:, 2], first, p.road)
-    return replace(state, road=road, tracks=replace(t, map_cell=np.where(teach, cell, t.map_cell)))
+    ahead = here - before
+    chord_rad = np.arctan2(ahead[:, 0], ahead[:, 1])
+    teach = came & (t.status == _CONFIRMED) & (t.hits >= p.road.learn_hits)
+    teach &= t.speed_mps > p.road.learn_speed_mps
+    teach &= np.cos(chord_rad - t.heading_rad) > math.cos(
+        p.road.chord_error_rad
+    )  # not where there is no chord
+    way = np.where((came | np.isnan(last[:, 0]))[:, None], np.concatenate([last, here], axis=1), t.way_m)
+    cell, road = t.map_cell, state.road
+    if teach.any():
+        between = last - before
+        half_way = np.column_stack([0.5 * (before + last), np.arctan2(between[:, 0], between[:, 1])])
+        there = np.column_stack([last, chord_rad])
+        new = np.flatnonzero(teach & (cell < 0) & ~t.standing)
+        born = np.column_stack([t.born_x_m, t.born_y_m])
+        places = [road_map.arc(born[k], last[k], float(chord_rad[k]), p.road) for k in new]
+        first = int((teach & (cell < 0)).sum())
+        for place in (half_way, there):
+            number = road_map.cell_number(place[:, 0], place[:, 1], p.road)
+            fresh = teach & (number >= 0) & (number != cell)
+            places.append(place[fresh])
+            cell = np.where(fresh, number, cell)
+        taught = np.concatenate(places)
+        road = road_map.teach(road, taught[:, 0], taught[:, 1], taught[:, 2], first, p.road)
+    return replace(state, road=road, tracks=t.but(way_m=way, map_cell=cell))

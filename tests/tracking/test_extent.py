@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from service.tracking import births, extent, road_map
+from service.tracking import births, extent, road_map, tracker
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
@@ -27,6 +27,8 @@ from service.tracking.boxes import (
     PY,
 )
 from service.tracking.extent import ExtentParameters
+from service.tracking.model import TrackStatus
+from service.tracking.parameters import TrackerParameters
 from service.tracking.road_map import RoadMapParameters
 from service.tracking.state import Tracks, no_tracks
 
@@ -245,6 +247,54 @@ def test_no_arc_is_drawn_through_a_corner_or_a_step():
 
     assert not len(road_map.arc(np.zeros(2), np.array([0.0, 3.0]), 0.0, p))
     assert not len(road_map.arc(np.zeros(2), np.array([20.0, 20.0]), math.pi / 2 + 0.1, p))
+
+
+def test_the_road_is_taught_the_way_of_a_track_and_not_its_heading():
+    p, radius, speed = TrackerParameters(), 200.0, 20.0
+    state = tracker.initial_state(p)
+    for k in range(160):  # eight seconds along a circle to the right, the heading 0.06 rad behind
+        turned = speed * DT_S * k / radius
+        x, y = radius * (1.0 - math.cos(turned)), 20.0 + radius * math.sin(turned)
+        track = one_track(
+            x=x, y=y, heading_rad=turned - 0.06, vx=speed * math.sin(turned), vy=speed * math.cos(turned)
+        )
+        kept = {"map_cell": state.tracks.map_cell, "way_m": state.tracks.way_m}
+        if k == 0:
+            kept = {"map_cell": np.array([-1]), "way_m": np.full((1, 4), np.nan)}
+        track = track.but(
+            status=np.array([int(TrackStatus.CONFIRMED)], np.uint8), born_y_m=np.array([20.0]), **kept
+        )
+        state = tracker._teach_road(dataclasses.replace(state, tracks=track, frames=k), p)
+
+    angle = np.linspace(0.05, 0.7, 60)
+    x, y = radius * (1.0 - np.cos(angle)), 20.0 + radius * np.sin(angle)
+    count, heading_rad, agreement = road_map.driven_at(state.road, x, y, p.road)
+
+    assert (count == 1.0).mean() > 0.8  # one track: no cell is counted twice
+    assert count.max() == 1.0
+    known = count > 0
+    assert np.abs(heading_rad - angle)[known].mean() < 0.015
+    assert agreement[known].min() == pytest.approx(1.0)
+    assert state.road.teachers == 1.0
+
+
+def test_a_track_that_jumps_to_another_vehicle_teaches_no_way():
+    p = TrackerParameters()
+    state = tracker.initial_state(p)
+    for k, x in enumerate((0.0, 0.0, 0.0, 6.0, 6.0)):
+        track = one_track(x=x, y=40.0 + 6.0 * k, vy=20.0)
+        kept = {"map_cell": np.array([0]), "way_m": np.full((1, 4), np.nan)}
+        if k:
+            kept = {"map_cell": state.tracks.map_cell, "way_m": state.tracks.way_m}
+        track = track.but(status=np.array([int(TrackStatus.CONFIRMED)], np.uint8), **kept)
+        state = tracker._teach_road(dataclasses.replace(state, tracks=track, frames=3 * k), p)
+
+    count, heading_rad, _ = road_map.driven_at(state.road, np.zeros(1), np.array([46.0]), p.road)
+
+    assert count.tolist() == [1.0]
+    assert heading_rad[0] == pytest.approx(0.0)
+    x, y = np.meshgrid(np.arange(-3.0, 10.0, 2.0), np.arange(50.0, 70.0, 4.0))
+    assert not road_map.driven_at(state.road, x.ravel(), y.ravel(), p.road)[0].any()
 
 
 def test_a_road_is_one_way_where_all_have_driven_one_way():
