@@ -1,13 +1,15 @@
 # The service with its kernels compiled in. Build: docker build -t wayside .   Run: see docker-compose.yml
-FROM python:3.12-slim AS build
+ARG PYTHON=3.12
+FROM python:${PYTHON}-slim AS build
+ARG PYTHON
 WORKDIR /src
 COPY . .
-RUN scripts/uv venv --quiet --python python3.12 /opt/wayside \
+RUN scripts/uv venv --quiet --python "python${PYTHON}" /opt/wayside \
     && scripts/uv pip install --quiet --python /opt/wayside/bin/python --require-hashes -r requirements.lock \
     && scripts/uv pip install --quiet --python /opt/wayside/bin/python --no-deps \
         --build-constraints requirements-dev.lock .
 
-FROM python:3.12-slim
+FROM python:${PYTHON}-slim
 COPY --from=build /opt/wayside /opt/wayside
 ENV PATH=/opt/wayside/bin:$PATH \
     PYTHONUNBUFFERED=1 \
