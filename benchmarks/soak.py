@@ -22,6 +22,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -213,6 +214,8 @@ def serving(folder: Path, trackers: int | None) -> Iterator[tuple[subprocess.Pop
                 break
         else:
             raise SystemExit("the service did not start")
+        # A full pipe would stop the service at its next warning.
+        threading.Thread(target=process.stderr.read, daemon=True).start()
         yield process, int(address.group(1))
     finally:
         process.send_signal(signal.SIGTERM)

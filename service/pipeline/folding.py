@@ -35,6 +35,7 @@ _log = structlog.get_logger(__name__)
 EXPIRED = "expired"  # the fate of frames that were never tracked
 TURN_RECORDS = 4  # of one sensor before the next has its turn
 PARTS = 5  # transactions over which the sensors are spread within the interval of flushes
+DRAIN_S = 15.0  # a stop goes on folding for so long; what is left is folded at the next start
 IDLE_S = 0.1  # longest wait without news: a tenth of what ticks and flushes are apart
 UNSTORED_FRAMES = 50_000  # of one sensor, before folding waits for the database
 # How far a tick keeps behind its time: a frame that comes after a later tick is not tracked, so a short stall

@@ -26,7 +26,7 @@ class Kind(IntEnum):
     LEAVE = 2  # let a sensor go
     NEWS = 3  # newest positions by sensor
     REFUSED = 4  # a tick that the log did not take
-    STOP = 5  # fold what is logged, store everything, end
+    STOP = 5  # fold what is logged while there is time, store it, end
     # From the tracker:
     READY = 16
     VIEW = 17  # the newest tracks of a sensor

@@ -25,7 +25,7 @@ from service.formats.sensor import SensorConfig
 from service.pipeline.blame import PlaceFile
 from service.pipeline.channel import Reopening, open_channel
 from service.pipeline.fold_state import Tracker
-from service.pipeline.folding import IDLE_S, Folding, Pace
+from service.pipeline.folding import DRAIN_S, IDLE_S, Folding, Pace
 from service.pipeline.line import Kind, Line, LineClosed
 from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import encode_entry
@@ -226,7 +226,7 @@ class TrackerProcess:
             place=place,
         )
         self._failures: dict[str, str] = {}  # of sensors that could not be taken in
-        self._stopping = False
+        self._stop_by_s: float | None = None
         self._reported_s = 0.0
 
     def run(self) -> None:
@@ -248,16 +248,15 @@ class TrackerProcess:
     def _fold_all(self) -> None:
         while True:
             self._hear()
-            stopping = self._stopping
+            stop_by_s = self._stop_by_s
             worked = self._folding.take_turns()
             if time.monotonic() - self._reported_s >= REPORT_S:
                 self._report()
             self._audience.push()
-            if worked:
-                continue
-            if stopping:
+            if stop_by_s is not None and (not worked or time.monotonic() >= stop_by_s):
                 return
-            self._line.wait(IDLE_S)
+            if not worked:
+                self._line.wait(IDLE_S)
 
     def _hear(self) -> None:
         for kind, body in self._line.receive():
@@ -276,7 +275,7 @@ class TrackerProcess:
                 case Kind.REFUSED:
                     self._frame_log.refuse(body.decode())
                 case Kind.STOP:
-                    self._stopping = True
+                    self._stop_by_s = time.monotonic() + DRAIN_S
                 case _:
                     _log.error("strange message", kind=kind)
 

@@ -23,6 +23,7 @@ from service.errors import StorageError, WaysideError
 from service.formats.sensor import SensorConfig
 from service.pipeline.blame import BlameBook
 from service.pipeline.channel import Channel, Standing
+from service.pipeline.folding import DRAIN_S
 from service.pipeline.line import Kind, Line, LineClosed
 from service.pipeline.live import LiveEntry
 from service.pipeline.live_wire import decode_entry
@@ -38,7 +39,7 @@ LISTEN_S = 0.2  # longest wait before what is left to send is tried again
 CALM_S = 30.0  # a process that lived as long is started again at once, others after a growing pause
 PAUSE_S, PAUSE_MOST_S = 0.1, 10.0
 HUNG_S = 60.0  # without a sign of life: longer than any wait for the database, or a flush
-STOP_S = 120.0  # for a process to fold and store what is logged
+STOP_S = 2 * DRAIN_S  # for a process to fold, and to store what it folded
 
 _log = structlog.get_logger(__name__)
 
@@ -96,7 +97,7 @@ class TrackerProcesses:
             process.thread.start()
 
     def stop(self) -> None:
-        """Have everything that is logged folded and stored, and wait for the processes' end."""
+        """Have what is logged folded while there is time, and stored, and wait for the processes' end."""
         for process in self._processes:
             with process.guard:
                 self._stopping.set()

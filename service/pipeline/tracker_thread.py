@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Generic
 
@@ -11,7 +12,7 @@ import structlog
 from service.formats.sensor import SensorConfig
 from service.pipeline.channel import Channel, Reopening, Standing
 from service.pipeline.fold_state import S
-from service.pipeline.folding import IDLE_S, Folding
+from service.pipeline.folding import DRAIN_S, IDLE_S, Folding
 from service.pipeline.live import LiveEntry, LiveView
 from service.pipeline.tracker_member import ProcessHealth
 from service.telemetry import Samples, Telemetry
@@ -67,7 +68,7 @@ class TrackerThread(Generic[S]):
     def __init__(self, folding: Folding[S]) -> None:
         self._folding = folding
         self._news = threading.Event()
-        self._stopping = False
+        self._stop_by_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="wayside-tracker", daemon=True)
 
     def start(self) -> None:
@@ -75,9 +76,9 @@ class TrackerThread(Generic[S]):
         self._thread.start()
 
     def stop(self) -> None:
-        """Fold what is logged, store everything with a snapshot of each sensor, and end."""
+        """Fold what is logged while there is time, store it with a snapshot of each sensor, and end."""
         if self._thread.is_alive():
-            self._stopping = True
+            self._stop_by_s = time.monotonic() + DRAIN_S
             self._news.set()
             self._thread.join()
 
@@ -145,11 +146,11 @@ class TrackerThread(Generic[S]):
 
     def _fold_all(self) -> None:
         while True:
-            stopping = self._stopping
+            stop_by_s = self._stop_by_s
             self._news.clear()
-            if self._folding.take_turns():
-                continue
-            if stopping:
+            worked = self._folding.take_turns()
+            if stop_by_s is not None and (not worked or time.monotonic() >= stop_by_s):
                 break
-            self._news.wait(IDLE_S)
+            if not worked:
+                self._news.wait(IDLE_S)
         self._folding.finish()

@@ -6,12 +6,13 @@ import asyncio
 import time
 from collections.abc import Callable
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from service.pipeline.host import EmbeddedHost
 from service.storage.database import connection as reading
-from service.storage.tables import track_states, tracks
-from tests.pipeline.recordings import all_rows, fold_records, records
+from service.storage.tables import snapshots, track_states, tracks
+from tests.pipeline import simple_tracker
+from tests.pipeline.recordings import all_rows, fold_records, recording, records
 
 
 def submit(host: EmbeddedHost, frames, sensor_id: str = "radar-1") -> list[str]:
@@ -44,3 +45,36 @@ def stored_rows(database: Engine) -> tuple[list, list]:
 def folded_rows(frames) -> tuple[int, int]:
     rows = all_rows(fold_records(records(frames))[1])
     return len(rows.tracks), len(rows.blocks)
+
+
+def stored_position(database: Engine) -> int:
+    """Return up to where of the log the rows of radar-1 are stored."""
+    with reading(database) as reader:
+        return int(reader.execute(select(snapshots.c.position)).scalar_one())
+
+
+class SlowTracker:
+    """The small tracker, at ten frames a second."""
+
+    initial_state = staticmethod(simple_tracker.initial_state)
+    coast = staticmethod(simple_tracker.coast)
+
+    @staticmethod
+    def step(*args) -> tuple:
+        time.sleep(0.1)
+        return simple_tracker.step(*args)
+
+
+def check_that_a_stop_in_a_backlog_loses_nothing(running, database: Engine) -> None:
+    """Stop a slow tracker that has no time left, and let a quick one fold the rest."""
+    frames = recording(60)
+    with running(SlowTracker()) as host:
+        assert submit(host, frames) == ["accepted"] * 60
+    assert stored_position(database) < 60
+    database.dispose()  # a connection must not be shared with a fork
+    with running() as host:
+        wait_until(lambda: caught_up(host))
+        assert host.live.newest("radar-1").epoch == 1
+
+    summaries, blocks = stored_rows(database)
+    assert (len(summaries), len(blocks)) == folded_rows(frames)

@@ -15,7 +15,7 @@ from sqlalchemy import Engine, delete, update
 
 from service.errors import NotFound, StorageError, Unavailable
 from service.formats.tracks import stored_line
-from service.pipeline import flushing, folding
+from service.pipeline import flushing, folding, tracker_thread
 from service.pipeline.door import Outcome
 from service.pipeline.fold import TICK_US
 from service.pipeline.folding import TICK_GRACE_US
@@ -33,7 +33,14 @@ from service.storage.tables import snapshots
 from service.storage.tracks import save_blocks, save_summaries
 from service.telemetry import set_up_logging
 from tests.pipeline import simple_tracker
-from tests.pipeline.hosts import caught_up, folded_rows, stored_rows, submit, wait_until
+from tests.pipeline.hosts import (
+    caught_up,
+    check_that_a_stop_in_a_backlog_loses_nothing,
+    folded_rows,
+    stored_rows,
+    submit,
+    wait_until,
+)
 from tests.pipeline.recordings import (
     CONFIG,
     PERIOD_US,
@@ -164,6 +171,12 @@ def test_frames_of_another_sensor_or_of_the_far_future_are_rejected(running, clo
 def test_an_unknown_sensor_is_not_found(running):
     with running() as host, pytest.raises(NotFound):
         submit(host, recording(1), "radar-7")
+
+
+def test_a_stop_does_not_wait_for_a_long_backlog(running, database, monkeypatch):
+    monkeypatch.setattr(tracker_thread, "DRAIN_S", 0.0)
+
+    check_that_a_stop_in_a_backlog_loses_nothing(running, database)
 
 
 def test_a_restart_goes_on_where_it_stopped(running, database):

@@ -28,7 +28,14 @@ from service.storage.events import list_events
 from service.storage.sites import create_sensor, update_sensor
 from service.telemetry import set_up_logging
 from tests.pipeline import simple_tracker
-from tests.pipeline.hosts import caught_up, folded_rows, stored_rows, submit, wait_until
+from tests.pipeline.hosts import (
+    caught_up,
+    check_that_a_stop_in_a_backlog_loses_nothing,
+    folded_rows,
+    stored_rows,
+    submit,
+    wait_until,
+)
 from tests.pipeline.recordings import (
     CONFIG,
     PERIOD_US,
@@ -126,6 +133,12 @@ def test_a_reader_is_woken_when_a_process_has_tracked_a_frame(running):
 
     with running() as host:
         assert asyncio.run(run(host)) == 2
+
+
+def test_a_stop_does_not_wait_for_a_long_backlog(running, database, monkeypatch):
+    monkeypatch.setattr(tracker_process, "DRAIN_S", 0.0)
+
+    check_that_a_stop_in_a_backlog_loses_nothing(running, database)
 
 
 def test_processes_store_the_same_rows_as_a_thread(running, database, tmp_path):
