@@ -7,6 +7,7 @@ the same plan cuts at the same place again.
 
 from __future__ import annotations
 
+import mmap
 import os
 import random
 import signal
@@ -14,7 +15,7 @@ import sqlite3
 import sys
 import threading
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -44,6 +45,8 @@ class Kind(StrEnum):
     KILL = "kill -9"  # the machine lives on: what was written stays
     POWER = "power cut"  # nothing that was not synced is left
     TORN = "torn power cut"  # some of what was not synced is left, in no order
+    GROUP = "kill -9 of service and trackers"  # where trackers are processes: all of them at once
+    TRACKER = "kill -9 of one tracker"  # the service goes on, and starts another
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,8 @@ class Plan:
     occurrence: int  # which moment of that phase, from 1
     delay: int  # operations on the disk after that moment; -1: at the moment itself
     kind: Kind
-    seed: int  # of what a torn cut leaves
+    seed: int  # of what a torn cut leaves, and which tracker is killed
+    processes: int = 0  # that track
 
 
 _STATEMENTS = (
@@ -63,6 +67,7 @@ _STATEMENTS = (
     ("INSERT INTO snapshots", Phase.SNAPSHOT),
     ("CREATE TABLE IF NOT EXISTS record", Phase.SEGMENT),
 )
+_OF_TRACKERS = frozenset({Phase.FLUSH, Phase.SNAPSHOT})  # which write the database
 _connect = sqlite3.connect
 _SCHEMA = ("CREATE ", "INSERT INTO alembic_version", "ALTER TABLE", "DROP ")
 
@@ -77,6 +82,28 @@ class Cutter:
         self.seen: Counter[str] = Counter()
         self.disk: Disk | None = None
         self.migrating = False
+        self.trackers: Callable[[], Sequence[int]] = tuple  # ids of the processes that run
+        self._group: int | None = None
+        self._in_tracker = False
+        self._done = mmap.mmap(-1, 1)  # shared with the processes that are forked from this one
+
+    def lead_group(self) -> None:
+        """Become the leader of a group of processes of its own, all of which a cut may end."""
+        os.setpgid(0, 0)
+        self._group = os.getpid()
+
+    def enter_tracker(self) -> None:
+        """Take in that this is a tracker process now; it counts from here on."""
+        self._in_tracker = True
+        self._left = None
+        self.seen.clear()
+        if self.disk is not None:
+            self.disk.enter_fork()
+
+    @property
+    def done(self) -> bool:
+        """Whether the cut was made, here or in a process forked from this one."""
+        return self._done[0] != 0
 
     def install(self) -> None:
         """Begin to watch; connections that are open already are not seen."""
@@ -127,16 +154,41 @@ class Cutter:
             self.seen[phase] += 1
             plan = self._plan
             wanted = Phase.ANY if plan is not None and plan.phase is Phase.OPENING else plan and plan.phase
-            if plan is None or self._left is not None or phase is not wanted:
+            if (
+                plan is None
+                or self._left is not None
+                or phase is not wanted
+                or not self._is_here(plan, wanted)
+            ):
                 return
             if self.seen[phase] == plan.occurrence:
                 if plan.delay < 0 or phase is Phase.REPLY:
                     self.cut()
                 self._left = plan.delay
 
+    def _is_here(self, plan: Plan, phase: Phase) -> bool:
+        """Return whether it is this process whose moments are meant."""
+        if self.done or not plan.processes:
+            return not self.done
+        tracker = phase in _OF_TRACKERS or (phase is Phase.ANY and plan.kind is Kind.TRACKER)
+        return self._in_tracker == tracker
+
     def cut(self) -> None:
-        """End this process as the plan says; does not return."""
-        if self._plan is not None and self.disk is not None and self._plan.kind is not Kind.KILL:
+        """End this process as the plan says; returns only where it is another one that ends."""
+        self._left = None
+        if self.done:  # by another process, at its moment
+            return
+        self._done[0] = 1
+        if self._plan is not None and self._plan.kind is Kind.GROUP and self._group is not None:
+            os.killpg(self._group, signal.SIGKILL)
+        if self._plan is not None and self._plan.kind is Kind.TRACKER and not self._in_tracker:
+            pids = self.trackers()
+            if pids:
+                os.kill(pids[self._plan.seed % len(pids)], signal.SIGKILL)
+            else:
+                self._done[0] = 0  # none runs at this moment
+            return
+        if self._plan is not None and self.disk is not None and self._plan.kind in {Kind.POWER, Kind.TORN}:
             torn = self._plan.kind is Kind.TORN
             self.disk.lose(random.Random(self._plan.seed) if torn else None)  # noqa: S311 - no secret
         os.kill(os.getpid(), signal.SIGKILL)

@@ -91,6 +91,12 @@ class Disk:
         self._tables: dict[int, _Methods] = {}  # address of the original table -> ours
         self._kept: list[object] = []  # what C points at
 
+    def enter_fork(self) -> None:
+        """Forget the files of the process that this one was forked from."""
+        self._paths.clear()
+        self._unsynced.clear()
+        self._descriptors.clear()
+
     # ------------------------------------------------------------- losing
 
     def lose(self, rng: random.Random | None) -> None:

@@ -22,6 +22,11 @@ _ROUND = (  # every phase comes up in ten cuts
     Phase.BATCH, Phase.FLUSH, Phase.SNAPSHOT, Phase.SEGMENT, Phase.MIGRATION, Phase.OPENING, Phase.REPLY,
     Phase.ANY, Phase.DROP, Phase.BATCH,
 )  # fmt: skip
+_PROCESS_ROUND = (  # of the cuts where trackers are processes
+    Phase.FLUSH, Phase.BATCH, Phase.SNAPSHOT, Phase.ANY, Phase.OPENING, Phase.REPLY, Phase.SEGMENT,
+    Phase.DROP,
+)  # fmt: skip
+_PROCESS_SHARE = 3  # every third cut
 _KINDS = (Kind.KILL, Kind.KILL, Kind.POWER, Kind.POWER, Kind.TORN)
 _LONGEST_DELAY = 9  # a commit is one to eight operations on the disk
 _OPENING_OPERATIONS = 60  # that a recovery has at least
@@ -78,19 +83,27 @@ class Suite:
         rng = random.Random(self.seed)  # noqa: S311 - no secret
         made: list[Plan] = []
         for index in range(count):
-            phase = _ROUND[index % len(_ROUND)]
+            turn, rest = divmod(index, _PROCESS_SHARE)
+            in_processes = rest == _PROCESS_SHARE - 1
+            phase = (
+                _PROCESS_ROUND[turn % len(_PROCESS_ROUND)]
+                if in_processes
+                else _ROUND[(index - turn) % len(_ROUND)]
+            )
             often = reference.seen.get(Phase.ANY if phase is Phase.OPENING else phase, 0)
             if not often:  # a short run drops nothing
                 phase, often = Phase.BATCH, reference.seen[Phase.BATCH]
-            made.append(
-                Plan(
-                    phase,
-                    rng.randint(1, max(1, 4 * often // 5)),
-                    rng.randint(-1, _LONGEST_DELAY) if reference.watched else -1,
-                    rng.choice(_KINDS) if reference.watched else Kind.KILL,
-                    rng.getrandbits(32),
-                )
+            plan = Plan(
+                phase,
+                rng.randint(1, max(1, 4 * often // 5)),
+                rng.randint(-1, _LONGEST_DELAY) if reference.watched else -1,
+                rng.choice(_KINDS) if reference.watched else Kind.KILL,
+                rng.getrandbits(32),
             )
+            if in_processes:
+                kind = rng.choice((Kind.GROUP, Kind.TRACKER))
+                plan = replace(plan, kind=kind, processes=rng.randint(1, 2))
+            made.append(plan)
         return made
 
     def cut(self, plan: Plan, reference: Reference) -> Outcome:
@@ -106,20 +119,25 @@ class Suite:
 
 def _cut(data_dir: Path, plan: Plan, reference: Reference) -> Outcome | None:
     """Return what became of the run, None when it ended before the moment of its cut."""
-    first_plan = replace(plan, phase=Phase.ANY) if plan.phase is Phase.OPENING else plan
+    first_plan = plan
+    if plan.phase is Phase.OPENING:
+        first_plan = replace(plan, phase=Phase.ANY, kind=Kind.GROUP if plan.processes else plan.kind)
     ended = run(data_dir, reference.work, 0, first_plan)
     if not ended.killed:
         _require_end(ended)
-        return None
-    said = ended.said
+        if not ended.said[-1]["cut"]:
+            return None
+    said = [message for message in ended.said if "batch" in message]
     cuts = [len(said)]  # batches acknowledged before each
     if plan.phase is Phase.OPENING:  # cut once more while the first cut is recovered from
-        again = Plan(plan.phase, 1 + plan.seed % _OPENING_OPERATIONS, 0, plan.kind, plan.seed)
+        again = replace(plan, occurrence=1 + plan.seed % _OPENING_OPERATIONS, delay=0)
         ended = run(data_dir, reference.work, len(said), again)
+        if not ended.killed:
+            _require_end(ended)
         said = said + [message for message in ended.said if "batch" in message]
         cuts.append(len(said))
     acknowledged = len(said)
-    ended = run(data_dir, reference.work, acknowledged)
+    ended = run(data_dir, reference.work, acknowledged, processes=plan.processes)
     _require_end(ended)
     outcomes = _outcomes([*said, *ended.said[:-1]])
     differences = gather(data_dir).differences(reference.evidence)
@@ -132,9 +150,15 @@ def _cut(data_dir: Path, plan: Plan, reference: Reference) -> Outcome | None:
     return Outcome(plan, acknowledged, bool(unheard), tuple(differences))
 
 
-def run(data_dir: Path, work: Sequence[Batch], first: int, plan: Plan | None = None) -> Ended:
-    """Post what is left of the work in a process of its own."""
-    return process.start(lambda say: child.post(say, data_dir, work, first, plan=plan)).end()
+def run(
+    data_dir: Path, work: Sequence[Batch], first: int, plan: Plan | None = None, *, processes: int = 0
+) -> Ended:
+    """Post what is left of the work in a process of its own; `processes` track, or those of the plan."""
+    if plan is not None:
+        processes = plan.processes
+    return process.start(
+        lambda say: child.post(say, data_dir, work, first, plan=plan, processes=processes)
+    ).end()
 
 
 def _outcomes(said: Sequence[dict[str, object]]) -> list[list[str]]:

@@ -30,8 +30,9 @@ def chaos(
 ) -> None:
     """Kill a host at seeded moments, cut its power, fill its disk, damage its files; compare what is stored.
 
-    Works in temporary folders and on the loopback only, and touches no service that runs. Exit code 1 when
-    a run does not end as an uninterrupted one.
+    Every third cut is made where trackers are processes, and ends all of them or one tracker alone. Works in
+    temporary folders and on the loopback only, and touches no service that runs. Exit code 1 when a run does
+    not end as an uninterrupted one.
     """
     import logging
 
@@ -110,6 +111,7 @@ def _record(
             {
                 "phase": o.plan.phase,
                 "kind": o.plan.kind,
+                "tracker_processes": o.plan.processes,
                 "occurrence": o.plan.occurrence,
                 "delay": o.plan.delay,
                 "acknowledged": o.acknowledged,

@@ -27,6 +27,7 @@ from service.pipeline.order import flush
 from service.pipeline.place import nowhere
 from service.pipeline.records import ControlRecord, FrameRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog, share_of_log
+from service.pipeline.tracker_member import ProcessHealth
 from service.pipeline.tracker_process import pace_of, wait_for_orphans
 from service.pipeline.tracker_processes import TrackerProcesses
 from service.pipeline.tracker_thread import Readers, TrackerThread
@@ -320,10 +321,14 @@ class EmbeddedHost:
             log_refusal=None if frame_log is None else frame_log.refusal(),
             storage=storage,
             sensors=tuple(sensors),
-            processes=() if trackers is None else trackers.health(),
+            processes=self.tracker_processes(),
         )
         show(found, self.telemetry)
         return found
+
+    def tracker_processes(self) -> tuple[ProcessHealth, ...]:
+        """Return where each tracker process stands; uses no lock."""
+        return () if self._trackers is None else self._trackers.health()
 
     def metrics(self) -> bytes:
         """Return the metrics of the host and of its tracker processes in Prometheus' text format."""

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
 import subprocess
 import sys
+import time
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from service.chaos import child, process
+from service.chaos.cut import Kind, Phase, Plan
 from service.chaos.disk import available
-from service.chaos.workload import SENSORS, recording
+from service.chaos.evidence import Evidence
+from service.chaos.suite import Reference, Suite, run
+from service.chaos.workload import SENSORS, batches, recording
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
+from service.warmup import warm_up
 
 ROOT = Path(__file__).resolve().parents[2]
 MEASURED = ROOT / "docs" / "measured" / "chaos.json"
@@ -29,6 +36,7 @@ def test_a_host_that_is_cut_anywhere_ends_as_if_it_had_not_been():
     assert done.returncode == 0, done.stdout + done.stderr
     found = json.loads(done.stdout)
     assert (found["cuts"], found["equal"]) == (7, 7)
+    assert [index for index, run in enumerate(found["runs"]) if run["tracker_processes"]] == [2, 5]
     assert found["rows"]["tracks"] > 8
     assert found["rows"]["events"] == 2  # both clocks were set back
     assert [incident["faults"] for incident in found["incidents"]] == [[]] * len(found["incidents"])
@@ -75,6 +83,48 @@ def test_every_acknowledged_append_has_called_fsync(tmp_path):
         assert any("sync(" in line for line in calls[before + 1 : at])
 
 
+def test_every_third_cut_is_made_where_trackers_are_processes():
+    reference = Reference([], Evidence({}, {}, {}, {}), [], dict.fromkeys(Phase, 50))
+    plans = Suite(1).plans(99, reference)
+
+    of_processes = [plan for plan in plans if plan.processes]
+    assert len(of_processes) == 33
+    assert {(plan.kind, plan.processes) for plan in of_processes} == {
+        (kind, count) for kind in (Kind.GROUP, Kind.TRACKER) for count in (1, 2)
+    }
+    assert {plan.phase for plan in of_processes} == set(Phase) - {Phase.MIGRATION}
+    assert {plan.kind for plan in plans if not plan.processes} == {Kind.KILL, Kind.POWER, Kind.TORN}
+    assert plans == Suite(1).plans(99, reference)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [Phase.FLUSH, Phase.BATCH])
+def test_a_cut_ends_all_processes_or_one_tracker_alone(tmp_path, phase):
+    warm_up(lambda *_: None)
+    work = batches(48, 1)
+    plan = Plan(phase, 3, 1, Kind.TRACKER, 7, processes=2)
+    ended = run(tmp_path / "one", work, 0, plan)
+    assert (ended.killed, ended.code) == (False, 0)
+    assert ended.said[-1]["cut"]
+    assert sum("batch" in message for message in ended.said) == len(work)
+
+    running = process.start(
+        lambda say: child.post(
+            say, tmp_path / "all", work, 0, plan=dataclasses.replace(plan, kind=Kind.GROUP), processes=2
+        )
+    )
+    assert running.end().killed
+    deadline_s = time.monotonic() + 10
+    while time.monotonic() < deadline_s:
+        try:
+            os.killpg(running.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.01)
+    else:
+        pytest.fail("a process of the group lives on")
+
+
 def test_the_workload_has_every_kind_of_trouble_in_it():
     frames = recording(SENSORS[0], 48, 3)
     numbers = [frame.sequence for frame in frames]
@@ -94,4 +144,7 @@ def test_the_committed_result_is_of_a_hundred_cuts_and_no_row_differs():
     assert found["equal"] >= 99  # docs/operations.md tells of the other
     differences = [text for run in found["runs"] for text in run["differences"]]
     assert not any("rows" in text or "epoch" in text for text in differences)
+    kinds = [run["kind"] for run in found["runs"] if run["tracker_processes"]]
+    assert len(kinds) >= 33
+    assert set(kinds) == {Kind.GROUP, Kind.TRACKER}
     assert all(incident["faults"] == [] for incident in found["incidents"])
