@@ -24,7 +24,8 @@ BX, BY, BVX, BVY, BSIN, BCOS, BLEN, BWID, BVAR_U, BVAR_W, BVAR_V, BGROW_NEAR, BG
 BOX_COLUMNS = 15
 # columns of a measurement of one box by one set of points
 M_U, M_W, M_VAR_U, M_VAR_W, M_V, M_VAR_V, M_COUNT, M_U_MIN, M_U_MAX, M_ECHO, M_EDGE, M_WEIGHT = range(12)
-MEASUREMENT_COLUMNS = 12
+M_TURN, M_VAR_TURN, M_U_MEAN, M_W_MEAN = range(12, 16)  # angle from the heading to the row of points
+MEASUREMENT_COLUMNS = 16
 
 # Visible-side bias of the weighted mean across the box, in widths, by aspect angle: side faces turn towards
 # the
@@ -34,6 +35,11 @@ _BIAS_WIDTHS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.36, 0.39])
 
 _FAR = 60.0  # squared distance from which a point has nothing to do with a box: beyond every gate
 _SLACK = 1.0 + 1e-9  # rounding must not end a pair that the full sum would keep
+ROW_POINTS = 3  # fewer tell no direction
+ROW_SPREAD_M2 = 0.2  # variance of a vehicle's echoes about the line along its side, measured likewise
+ROW_CORNER = (
+    0.45  # two faces seen at once pull that line towards the diagonal, by this share of width / length
+)
 ALONE_M = 1.5  # gap along the box that sets a single point apart ...
 ALONE_BEYOND_M = 1.0  # ... if it lies this far beyond the end
 EDGE_POINTS_M = 1.5  # points this near the nearest range ever seen ...
@@ -291,6 +297,7 @@ def measure_boxes(
         u_min, u_max, g_min = np.inf, -np.inf, np.inf
         u_low, u_high = np.inf, -np.inf  # the outermost but one
         sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = 0.0
+        sum_u = sum_w = sum_uu = sum_uw = var_w = 0.0
         n_v = 0
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
         to_radar = -(b[BSIN] * b[BX] + b[BCOS] * b[BY]) / los_norm
@@ -310,6 +317,8 @@ def measure_boxes(
             sum_a2 += a * a
             sum_a2var += a * a * (across2 * p[PVAR_R] + to_radar * to_radar * var_t)
             var_u += to_radar * to_radar * p[PVAR_R] + across2 * var_t
+            sum_u, sum_w, sum_uu, sum_uw = sum_u + u, sum_w + w, sum_uu + u * u, sum_uw + u * w
+            var_w += across2 * p[PVAR_R] + to_radar * to_radar * var_t
             echo += p[PECHO]
             if p[PV] == p[PV]:
                 dv[n_v] = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
@@ -362,6 +371,13 @@ def measure_boxes(
             out[q, M_V] = (dv[(n_v - 1) // 2] + dv[n_v // 2]) / 2.0
         else:
             out[q, M_V] = np.nan
+        out[q, M_U_MEAN], out[q, M_W_MEAN] = sum_u / count, sum_w / count
+        spread = sum_uu - sum_u * sum_u / count
+        out[q, M_VAR_TURN] = np.inf
+        if count >= ROW_POINTS and spread > 1e-3:
+            corner = ROW_CORNER * width / b[BLEN] * 2.0 * to_radar * side_los
+            out[q, M_TURN] = math.atan((sum_uw - sum_u * sum_w / count) / spread) + corner
+            out[q, M_VAR_TURN] = (ROW_SPREAD_M2 + var_w / count) / spread
         out[q, M_VAR_V] = 1.0 / max(n_v, 1)  # times the Doppler variance of one point, by the caller
         out[q, M_U_MIN], out[q, M_U_MAX] = u_min, u_max
         out[q, M_ECHO] = echo / count

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.boxes import M_COUNT, M_VAR_W, M_W
+from service.tracking.boxes import M_COUNT, M_TURN, M_U_MEAN, M_VAR_TURN, M_VAR_W, M_W, M_W_MEAN
 from service.tracking.kernel import kernel, part
 from service.tracking.length_kernels import learn_length
 from service.tracking.model import F64, I64, Bool
@@ -71,6 +71,11 @@ class ExtentParameters:
     road_std_rad: float = 0.1  # of a vehicle about it ...
     road_memory_frames: float = 5.0  # ... which says the same for so many frames
     road_gate_rad: float = 0.6  # a vehicle further off turns, or its heading is no more than a guess
+    # the row of points along the side that the radar sees measures a heading, too
+    row_aspect_rad: float = math.radians(30.0)  # ... of vehicles seen this much from the side
+    row_memory_frames: float = 1.5  # which says the same for so many frames
+    row_bias_rad: float = 0.05  # which of its scatterers answer best turns a vehicle's row for good
+    row_gate_rad: float = 0.8  # a row turned further holds points of a neighbour
     # a settled box that stands or crawls goes where its velocity says, and hardly where its points say
     held_hits: int = 30
     held_below_mps: float = 0.5
@@ -110,6 +115,10 @@ def learn(
     _follow_road(
         mean, heading, heading_var, length, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
         p.road_gate_rad,
+    )  # fmt: skip
+    _follow_row(
+        mean, heading, heading_var, measured, hit,
+        (math.cos(p.row_aspect_rad), p.row_memory_frames, p.row_gate_rad, p.row_bias_rad**2),
     )  # fmt: skip
     goes = one_way & (np.cos(heading - road_heading) > math.cos(p.one_way_std_rad))
     _turn(
@@ -229,6 +238,35 @@ def _follow_road(
         gain = heading_var[i] / (heading_var[i] + noise)
         heading_var[i] *= 1.0 - gain
         heading[i] = _turn_box(mean[i], heading[i], gain * error, length[i])
+
+
+@kernel
+def _follow_row(
+    mean: F64, heading: F64, heading_var: F64, measured: F64, hit: Bool, limits: tuple[float, ...]
+) -> None:
+    """Measure headings, in place, by the row of points along the side that the radar sees.
+
+    The box turns about the middle of its points. Of a vehicle that turns across the line of sight the
+    velocity tells the direction last of all, and of one that stands it tells nothing.
+    """
+    end_on, memory, gate, bias = limits
+    for i in range(len(heading)):
+        if not hit[i] or measured[i, M_COUNT] == 0.0 or not math.isfinite(measured[i, M_VAR_TURN]):
+            continue
+        error = measured[i, M_TURN]
+        aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
+        side_on = min(abs(math.cos(aspect)), abs(math.cos(aspect + error))) <= end_on
+        if (
+            not side_on or abs(error) > gate
+        ):  # as it lies, or as its points say: a turn is seen end-on at first
+            continue
+        gain = heading_var[i] / (heading_var[i] + memory * measured[i, M_VAR_TURN])
+        heading_var[i] = max((1.0 - gain) * heading_var[i], min(bias, heading_var[i]))
+        before, after = heading[i], heading[i] + gain * error
+        u, w = measured[i, M_U_MEAN], measured[i, M_W_MEAN]
+        mean[i, 0] += u * (math.sin(before) - math.sin(after)) + w * (math.cos(before) - math.cos(after))
+        mean[i, 3] += u * (math.cos(before) - math.cos(after)) - w * (math.sin(before) - math.sin(after))
+        heading[i] = (after + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @kernel

@@ -194,6 +194,47 @@ def test_the_nearest_echo_of_a_motorcycle_may_be_any_of_its_three(along_m, centr
     assert measured[0, b.M_U] == pytest.approx(centre_m, abs=0.11)
 
 
+def measured_turn(x, y, aspect_rad, turned_rad, points):
+    """Return the angle and variance that points (u, w) of a car tell, whose box lies turned_rad from it."""
+    box, point = np.zeros((1, b.BOX_COLUMNS)), np.zeros((len(points), b.POINT_COLUMNS))
+    heading = np.arctan2(x, y) + aspect_rad
+    s, c = np.sin(heading), np.cos(heading)
+    u, w = np.array(points).T
+    box[0, [b.BX, b.BY, b.BSIN, b.BCOS]] = x, y, np.sin(heading - turned_rad), np.cos(heading - turned_rad)
+    box[0, [b.BLEN, b.BWID]] = 4.4, 1.9
+    point[:, b.PX], point[:, b.PY] = x + s * u + c * w, y + c * u - s * w
+    point[:, b.PG] = np.hypot(point[:, b.PX], point[:, b.PY])
+    point[:, b.PWEIGHT], point[:, b.PVAR_R], point[:, b.PVAR_AZ] = 10.0, 0.02, 1e-5
+    nobody = np.zeros(len(point), dtype=np.int64)
+    row = b.measure_boxes(np.array([0]), np.array([0]), nobody, point, box, 20.0)[0]
+    return row[b.M_TURN], row[b.M_VAR_TURN]
+
+
+@pytest.mark.parametrize("turned_rad", [-0.5, 0.0, 0.3])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_row_of_points_tells_how_far_a_box_is_turned(turned_rad, side):
+    row = [(u, side * 0.95) for u in (-2.0, -1.0, 0.0, 1.5, 2.1)]
+
+    turn, variance = measured_turn(10.0, 70.0, side * np.pi / 2, turned_rad, row)
+    worse = measured_turn(10.0, 70.0, side * np.pi / 2, turned_rad, row[1:-1])[1]
+
+    assert turn == pytest.approx(turned_rad, abs=0.18)  # a box turned off its points expects two faces
+    assert 0.01 < variance < 0.03
+    assert worse > 2 * variance
+    assert measured_turn(10.0, 70.0, side * np.pi / 2, turned_rad, row[:2])[1] == np.inf
+
+
+@pytest.mark.parametrize("aspect_rad", np.deg2rad([45.0, 135.0, -45.0, -135.0]))
+def test_two_faces_seen_at_once_do_not_turn_a_box_to_its_diagonal(aspect_rad):
+    near, right = -np.sign(np.cos(aspect_rad)), np.sign(np.sin(aspect_rad))
+    side = [(u, 0.95 * right) for u in np.linspace(-2.2, 2.2, 9)]
+    end = [(2.2 * near, w) for w in np.linspace(-0.95, 0.95, 4)]
+
+    turn, _ = measured_turn(-8.0, 60.0, aspect_rad, 0.0, side + end)
+
+    assert abs(turn) < 0.08
+
+
 def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p):
     """Return the pairs of one vehicle and whether one is a piece, matrix by matrix."""
     dx, dy = mean[None, :, 0] - mean[:, None, 0], mean[None, :, 3] - mean[:, None, 3]

@@ -12,10 +12,14 @@ from service.tracking import births, extent, road_map, tracker
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
+    M_TURN,
     M_U_MAX,
+    M_U_MEAN,
     M_U_MIN,
+    M_VAR_TURN,
     M_VAR_W,
     M_W,
+    M_W_MEAN,
     MEASUREMENT_COLUMNS,
     PG,
     POINT_COLUMNS,
@@ -47,8 +51,11 @@ def one_track(*, heading_rad=0.0, heading_std_rad=0.1, vx=0.0, vy=0.0, x=0.0, y=
     )  # fmt: skip
 
 
-def learn(tracks, *, one_way=False, hit=True, road_rad=0.0, sideways_m=None):
+def learn(tracks, *, one_way=False, hit=True, road_rad=0.0, sideways_m=None, row=None):
     measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    measured[0, M_VAR_TURN] = np.inf
+    if row is not None:  # angle, its variance, middle of the points
+        measured[0, [M_COUNT, M_TURN, M_VAR_TURN, M_U_MEAN, M_W_MEAN]] = 5.0, *row
     if sideways_m is not None:
         measured[0, [M_COUNT, M_W, M_VAR_W]] = 1.0, sideways_m, 0.04
     flags = np.array([hit]), np.array([one_way])
@@ -160,6 +167,42 @@ def test_the_road_turns_a_crawling_box_about_its_near_face():
 @pytest.mark.parametrize(("one_way", "road_rad"), [(False, 0.3), (True, 1.2)])
 def test_no_road_turns_a_box_that_does_not_drive_along_it(one_way, road_rad):
     assert learn(one_track(), one_way=one_way, road_rad=road_rad).heading_rad[0] == 0.0
+
+
+@pytest.mark.parametrize("vx", [0.0, 6.0])
+def test_the_row_of_points_turns_a_box_seen_from_the_side_about_their_middle(vx):
+    track = one_track(heading_rad=math.pi / 2 + 0.5, heading_std_rad=0.5, vx=vx)
+
+    turned = learn(track, row=(-0.5, 0.02, 0.8, 0.7))
+
+    gain = 0.5**2 / (0.5**2 + 1.5 * 0.02)
+    assert (
+        turned.heading_rad[0] < math.pi / 2 + 0.5 - 0.9 * gain * 0.5
+    )  # the velocity turns it no further away
+    if vx == 0.0:
+        assert turned.heading_rad[0] == pytest.approx(math.pi / 2 + 0.5 - gain * 0.5)
+        assert turned.heading_var[0] == pytest.approx(0.5**2 * (1 - gain))
+        np.testing.assert_allclose(middle(turned, 0.8, 0.7), middle(track, 0.8, 0.7), atol=1e-9)
+
+
+def middle(track, u, w):
+    s, c = math.sin(track.heading_rad[0]), math.cos(track.heading_rad[0])
+    return track.mean[0, 0] + s * u + c * w, track.mean[0, 3] + c * u - s * w
+
+
+@pytest.mark.parametrize(
+    ("heading_rad", "row", "hit"),
+    [
+        (0.2, (0.1, 0.02, 0.0, 0.0), True),  # end-on, before and after
+        (math.pi / 2, (1.2, 0.02, 0.0, 0.0), True),  # not the row of this vehicle alone
+        (math.pi / 2, (0.3, np.inf, 0.0, 0.0), True),
+        (math.pi / 2, (0.3, 0.02, 0.0, 0.0), False),
+    ],
+)
+def test_points_that_tell_no_direction_turn_no_box(heading_rad, row, hit):
+    track = one_track(heading_rad=heading_rad)
+
+    assert learn(track, row=row, hit=hit).heading_rad[0] == heading_rad
 
 
 def test_sideways_motion_is_bound_loosely_off_the_direction_of_the_road():

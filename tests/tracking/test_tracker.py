@@ -103,6 +103,34 @@ def test_a_truck_is_one_track_and_long(rng):
     assert outputs[-1].length_m[0] == pytest.approx(14.0, abs=1.5)
 
 
+def turned(rng, x, y, heading, speed, *, length=4.5, width=1.8, points=6):
+    """Return the points of the sides that the radar sees of a box in any heading, clockwise from +y."""
+    s, c = np.sin(heading), np.cos(heading)
+    ahead, right = np.sign(-(s * x + c * y)), np.sign(-(c * x - s * y))
+    share = width * abs(s * x + c * y) / (width * abs(s * x + c * y) + length * abs(c * x - s * y))
+    end = rng.random(points) < share
+    u = np.where(end, ahead * length / 2, rng.uniform(-length / 2, length / 2, points))
+    w = np.where(end, rng.uniform(-width / 2, width / 2, points), right * width / 2)
+    px, py = x + s * u + c * w + rng.normal(0, 0.1, points), y + c * u - s * w + rng.normal(0, 0.1, points)
+    return detections(rng, px, py, np.full(points, speed * s), np.full(points, speed * c), 22.0)
+
+
+def test_a_car_that_turns_across_the_line_of_sight_keeps_its_number_and_heading(rng):
+    x, y, heading, frames, truth = 4.0, 45.0, 0.0, [], []
+    for k in range(120):
+        heading += 0.05 if 60 <= k < 60 + np.pi / 2 / 0.05 else 0.0  # 1 rad/s at 8 m/s: a radius of 8 m
+        x, y = x + 0.4 * np.sin(heading), y + 0.4 * np.cos(heading)
+        truth.append(heading)
+        frames.append(frame(k, turned(rng, x, y, heading, 8.0)))
+
+    _, outputs = run(frames)
+
+    assert len(numbers(outputs)) == 1
+    assert all(len(e) == 1 for e in outputs[20:])
+    lag = [h - float(e.heading_rad[0]) for h, e in zip(truth, outputs, strict=True) if len(e)]
+    assert max(np.abs(lag[75:])) < 0.35
+
+
 def entering(rng, x, y, vy, *, length, points, view_from_m=18.0):
     """Return the points of a vehicle that drives away, without those that are too near to be seen."""
     rows = vehicle(rng, x, y, 0.0, vy, length=length, width=2.5, points=points)
