@@ -29,6 +29,12 @@ class MergingParameters:
     piece_gap_m: float = 5.0
     piece_hits: int = 40  # the younger of two that do not overlap: what lasted longer is a vehicle of its own
     length_max_m: float = 19.0
+    # of two confirmed tracks the older stays, unless the younger, settled one has far better evidence
+    stays_hits: int = 40
+    stays_log_odds: float = 3.0  # so much more likely to exist: the other is coasting
+    stays_points: float = (
+        2.0  # so many times the points a hit: the other is a small vehicle that was beside it
+    )
 
 
 _PIECE, _INSIDE, _CLOSE = 1, 2, 4  # bits: how one track lies to another
@@ -46,15 +52,13 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
     )  # fmt: skip
     if not len(first):
         return tracks, drop
-    # the stronger stays: confirmed before tentative, then the older (lower number comes first)
-    rank = np.where(tracks.confirmed, 0, n) + np.arange(n)
     mean, length, half = tracks.mean.copy(), tracks.length_m.copy(), 0.5 * tracks.length_m
-    for k in np.argsort(rank[first], kind="stable"):  # rarely more than one pair
+    for k in np.argsort(first, kind="stable"):  # rarely more than one pair
         i, j = first[k], second[k]
-        if drop[i] or drop[j] or rank[j] < rank[i]:
+        if drop[i] or drop[j] or not _stays(tracks, i, j, p):
             continue
         drop[j] = True
-        if piece[k] and tracks.confirmed[j]:
+        if piece[k] and tracks.confirmed[j] and tracks.empty[j] == 0:  # a silent box stands for no piece
             s, c = np.sin(tracks.heading_rad[i]), np.cos(tracks.heading_rad[i])
             u = s * (tracks.x_m[j] - tracks.x_m[i]) + c * (tracks.y_m[j] - tracks.y_m[i])
             lo, hi = min(-half[i], u - half[j]), max(half[i], u + half[j])
@@ -62,6 +66,22 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
             mean[i, 0] += 0.5 * (lo + hi) * s
             mean[i, 3] += 0.5 * (lo + hi) * c
     return tracks.but(mean=mean, length_m=length), drop
+
+
+def _stays(tracks: Tracks, i: int, j: int, p: MergingParameters) -> bool:
+    """Return whether track i stays where i and j are one vehicle: the other does not.
+
+    A confirmed one before a tentative one, the older of two (lower number) before the younger. But what fell
+    silent beside another vehicle must not take its place, although its box drifts onto the other's points.
+    """
+    if tracks.confirmed[i] != tracks.confirmed[j]:
+        return bool(tracks.confirmed[i])
+    older, younger = min(i, j), max(i, j)
+    better = tracks.hits[younger] >= p.stays_hits and (
+        tracks.log_odds[younger] > tracks.log_odds[older] + p.stays_log_odds
+        or tracks.points_per_hit[younger] > p.stays_points * tracks.points_per_hit[older]
+    )
+    return bool(i == (younger if better else older))
 
 
 @kernel

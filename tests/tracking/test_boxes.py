@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from service.tracking import boxes as b
-from service.tracking.merging import MergingParameters, find_pairs
+from service.tracking.merging import MergingParameters, find_pairs, merge
+from service.tracking.model import TrackStatus
+from service.tracking.state import Tracks, no_tracks
 
 GATE, CLUSTER_GATE = 12.0, 25.0
 
@@ -307,3 +311,51 @@ def test_a_vehicle_that_passes_another_closely_is_not_taken_for_it():
 def test_only_a_young_track_is_a_piece_of_the_vehicle_before_it():
     assert two_behind_another(6.0, 0.1, (200, 10))
     assert not two_behind_another(6.0, 0.1, (200, 100))  # it has proved to be a vehicle of its own
+
+
+def merged(y_m, **columns):
+    """Return numbers and lengths of what two confirmed tracks 7 and 9 in one lane are merged to."""
+    empty = no_tracks(0)
+    names = [field.name for field in dataclasses.fields(empty)]
+    blank = Tracks(
+        *(np.zeros((2, *column.shape[1:]), column.dtype) for column in map(empty.__getattribute__, names))
+    )
+    mean, cov = np.zeros((2, 6)), np.zeros((2, 6, 6))
+    mean[:, 3], mean[:, 4] = y_m, 12.0
+    cov[:, 1, 1] = cov[:, 4, 4] = 0.005
+    values = {"status": (TrackStatus.CONFIRMED, TrackStatus.CONFIRMED)} | columns
+    typed = {name: np.array(value, getattr(blank, name).dtype) for name, value in values.items()}
+    left, drop = merge(blank.but(number=np.array([7, 9]), mean=mean, cov=cov, **typed), MergingParameters())
+    return left.number[~drop].tolist(), left.length_m[~drop].tolist()
+
+
+def one_in_another(**changes):
+    """Return what remains of an old motorcycle's track in the box of a bus."""
+    usual = {
+        "log_odds": (6.0, 6.0), "points_per_hit": (3.0, 4.0), "hits": (200, 150), "length_m": (2.2, 11.5),
+        "width_m": (0.9, 2.5),
+    }  # fmt: skip
+    return merged((61.0, 60.0), **(usual | changes))
+
+
+def test_the_older_of_two_tracks_stays_unless_it_fell_silent_or_has_far_fewer_points():
+    assert one_in_another() == ([7], [2.2])
+    assert one_in_another(points_per_hit=(3.0, 7.0)) == ([9], [11.5])
+    assert one_in_another(log_odds=(0.0, 5.0), empty=(22, 0)) == ([9], [11.5])
+    assert one_in_another(points_per_hit=(3.0, 7.0), hits=(200, 10)) == ([7], [2.2])  # not yet settled
+
+
+def test_a_confirmed_track_stays_before_a_tentative_one():
+    status = (TrackStatus.TENTATIVE, TrackStatus.CONFIRMED)
+
+    assert one_in_another(status=status) == ([9], [11.5])
+
+
+@pytest.mark.parametrize(("empty", "length_m"), [(0, 10.4), (20, 4.4)])
+def test_a_silent_box_stretches_no_other(empty, length_m):
+    found = merged(
+        (60.0, 66.0), hits=(200, 10), length_m=(4.4, 4.4), width_m=(1.9, 1.9), empty=(0, empty),
+        points_per_hit=(3.0, 3.0),
+    )  # fmt: skip
+
+    assert found == ([7], [pytest.approx(length_m)])
