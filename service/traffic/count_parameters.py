@@ -26,7 +26,7 @@ class CountParameters:
     # A piece that goes along inside another, older one is its ghost.
     ghost_share: float = 0.6  # of its life
     ghost_along_m: float = 4.0
-    ghost_across_m: float = 1.6
+    ghost_across_m: float = 1.2  # half of the widest vehicle
 
     least_life_s: float = 1.0  # listed for less, a vehicle is more often a ghost than not
     least_existence: float = 0.5  # of a track whose crossing is counted

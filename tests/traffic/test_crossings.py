@@ -135,8 +135,9 @@ def test_a_ghost_beside_an_older_track_does_not_count():
     assert [crossing.track for crossing in crossings(merged(drive(1, approach()), ghost))] == [1]
 
 
-def test_a_vehicle_in_the_next_lane_is_no_ghost():
-    beside = [None] * 20 + drive(2, approach(60 - 12, 20), x_m=3.5)
+@pytest.mark.parametrize("x_m", [1.4, 3.5])  # the first: a motorcycle, or two tracks that lean to one another
+def test_a_vehicle_in_the_next_lane_is_no_ghost(x_m):
+    beside = [None] * 20 + drive(2, approach(60 - 12, 20), x_m=x_m)
 
     assert len(crossings(merged(drive(1, approach()), beside))) == 2
 
