@@ -112,8 +112,9 @@ def learn(
     heading_var = tracks.heading_var.copy()
     turn_rate, drift = tracks.turn_rate_radps.copy(), tracks.drift.copy()
     loose = _drift(mean, cov, heading, measured, hit, drift, p.drift_gain, p.drift_free, p.turn_above_mps)
+    pivot = _pivots(measured, hit, length)
     _follow_road(
-        mean, heading, heading_var, length, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
+        mean, heading, heading_var, pivot, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
         p.road_gate_rad,
     )  # fmt: skip
     _follow_row(
@@ -122,7 +123,7 @@ def learn(
     )  # fmt: skip
     goes = one_way & (np.cos(heading - road_heading) > math.cos(p.one_way_std_rad))
     _turn(
-        mean, cov, heading, heading_var, turn_rate, length, dt_s,
+        mean, cov, heading, heading_var, turn_rate, pivot, dt_s,
         (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
          p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
@@ -215,11 +216,26 @@ def _drift(
 
 
 @kernel
+def _pivots(measured: F64, hit: Bool, length: F64) -> F64:
+    """Return how far ahead of its centre (T,) each box is turned: in the middle of its points.
+
+    Across the box their mean is then what it was. About any other place the points would afterwards pull the
+    box sideways, and that speed would turn it again: a long box that approaches, turned about its front,
+    runs away.
+    """
+    out = np.zeros(len(length))
+    for i in range(len(length)):
+        if hit[i] and measured[i, M_COUNT] > 0.0:
+            out[i] = min(max(measured[i, M_U_MEAN], -0.5 * length[i]), 0.5 * length[i])
+    return out
+
+
+@kernel
 def _follow_road(
     mean: F64,
     heading: F64,
     heading_var: F64,
-    length: F64,
+    pivot: F64,
     one_way: Bool,
     road_heading: F64,
     noise: float,
@@ -237,7 +253,7 @@ def _follow_road(
             continue
         gain = heading_var[i] / (heading_var[i] + noise)
         heading_var[i] *= 1.0 - gain
-        heading[i] = _turn_box(mean[i], heading[i], gain * error, length[i])
+        heading[i] = _turn_box(mean[i], heading[i], gain * error, pivot[i])
 
 
 @kernel
@@ -271,10 +287,10 @@ def _follow_row(
 
 @kernel
 def _turn(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, length: F64, dt_s: float,
+    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, pivot: F64, dt_s: float,
     turning: tuple[float, ...],
 ) -> None:  # fmt: skip
-    """Turn boxes towards their velocity, about the near face, in place.
+    """Turn boxes towards their velocity, about the middle of their points, in place.
 
     The heading is a state of its own, a random walk as wide as a vehicle of that speed turns, measured by the
     direction of the velocity. Once it is settled it turns no faster than a vehicle can (its wheels bound
@@ -286,7 +302,7 @@ def _turn(
         speed = math.hypot(vx, vy)
         rate = min(speed / radius, accel / max(speed, 1e-3))
         heading_var[i] = min(heading_var[i] + rate * rate * dt_s, 1.0)
-        before = heading[i]
+        before, arm = heading[i], pivot[i]
         s, c = math.sin(before), math.cos(before)
         if speed <= above or speed <= certainty * math.sqrt(0.5 * (cov[i, 1, 1] + cov[i, 4, 4])):
             continue
@@ -298,6 +314,7 @@ def _turn(
             # a first guess that was the wrong way round is turned over at once: the box is the same either
             # way
             before += math.pi
+            arm = -arm
             error -= math.copysign(math.pi, error)
         across = c * c * cov[i, 1, 1] - 2.0 * s * c * cov[i, 1, 4] + s * s * cov[i, 4, 4]
         noise = memory * across / (speed * speed)
@@ -311,14 +328,13 @@ def _turn(
                 rate = turn_rate[i] + rate_gain * gain * gain / (2.0 - gain) * error / dt_s
                 turn_rate[i] = min(max(rate, -fastest), fastest)
         heading_var[i] *= 1.0 - gain
-        heading[i] = _turn_box(mean[i], before, change, length[i])
+        heading[i] = _turn_box(mean[i], before, change, arm)
 
 
 @part
-def _turn_box(mean: F64, before: float, change: float, length: float) -> float:
-    """Turn one box about its near face, in place; return its new heading."""
+def _turn_box(mean: F64, before: float, change: float, arm: float) -> float:
+    """Turn one box about the place `arm` ahead of its centre, in place; return its new heading."""
     after = (before + change + math.pi) % (2.0 * math.pi) - math.pi
-    arm = 0.5 * length * (-1.0 if math.cos(after - math.atan2(mean[0], mean[3])) > 0.0 else 1.0)
     mean[0] += arm * (math.sin(before) - math.sin(after))
     mean[3] += arm * (math.cos(before) - math.cos(after))
     return after

@@ -143,6 +143,7 @@ def test_a_measurement_sums_up_the_points_of_its_set(rng):
         assert row[b.M_COUNT] == mine.sum()
         if not row[b.M_EDGE]:
             assert (row[b.M_U_MIN], row[b.M_U_MAX]) == pytest.approx((u[i, mine].min(), u[i, mine].max()))
+        assert row[b.M_U_MEAN] == pytest.approx(u[i, mine].mean())
         mean_w = np.average(w[i, mine], weights=point[mine, b.PWEIGHT])
         assert row[b.M_W] == pytest.approx(mean_w - np.copysign(bias[i], np.sin(aspect[i])))
         assert row[b.M_V] == pytest.approx(

@@ -151,17 +151,36 @@ def test_a_box_that_its_points_carry_sideways_is_let_go():
     assert sideways_speed_after([0.6] * 12, vy=0.0) == pytest.approx(carried, abs=0.2)
 
 
-def test_the_road_turns_a_crawling_box_about_its_near_face():
+@pytest.mark.parametrize(("seen_at_m", "pivot_m"), [(1.5, 1.5), (-9.0, -2.2), (None, 0.0)])
+def test_the_road_turns_a_crawling_box_about_the_middle_of_its_points(seen_at_m, pivot_m):
     track = one_track(heading_rad=0.3, vy=-0.2, x=3.0)
-    near = track.mean[0, [0, 3]] - 2.2 * np.array([math.sin(0.3), math.cos(0.3)])
+    measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    if seen_at_m is not None:
+        measured[0, [M_COUNT, M_U_MEAN, M_VAR_W]] = 1.0, seen_at_m, 0.04
+    middle = track.mean[0, [0, 3]] + pivot_m * np.array([math.sin(0.3), math.cos(0.3)])
     for _ in range(200):
-        track = learn(track, one_way=True, hit=False)
+        track = extent.learn(
+            track, measured, np.array([True]), np.array([True]), np.zeros(1), 0.003, DT_S, ExtentParameters()
+        )
         track = track.but(mean=np.where(np.arange(6) % 3 == 1, 0.0, track.mean))
 
     heading = track.heading_rad[0]
     assert abs(heading) < 0.03
-    turned = track.mean[0, [0, 3]] - 2.2 * np.array([math.sin(heading), math.cos(heading)])
-    np.testing.assert_allclose(turned, near, atol=1e-9)
+    turned = track.mean[0, [0, 3]] + pivot_m * np.array([math.sin(heading), math.cos(heading)])
+    np.testing.assert_allclose(turned, middle, atol=1e-9)
+
+
+def test_a_guess_that_is_turned_over_turns_about_the_same_place():
+    track = one_track(vx=0.5, vy=-3.0, heading_std_rad=0.8)
+    measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    measured[0, [M_COUNT, M_U_MEAN, M_VAR_W]] = 1.0, 2.0, 0.04
+    flags = np.array([True]), np.array([False])
+
+    turned = extent.learn(track, measured, *flags, np.zeros(1), 0.003, DT_S, ExtentParameters())
+
+    s, c = math.sin(turned.heading_rad[0]), math.cos(turned.heading_rad[0])
+    assert c < -0.9  # now it faces where it goes, and the points lie behind its centre
+    np.testing.assert_allclose(turned.mean[0, [0, 3]] - 2.0 * np.array([s, c]), [0.0, 62.0], atol=1e-9)
 
 
 @pytest.mark.parametrize(("one_way", "road_rad"), [(False, 0.3), (True, 1.2)])
