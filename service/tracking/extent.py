@@ -64,6 +64,10 @@ class ExtentParameters:
     # frames on end
     sideways_free_mps: float = 1.2
     sideways_free_share: float = 0.15
+    # wheels roll: a vehicle goes sideways in proportion to its speed ahead, so that below this speed the
+    # first of both shrinks with it ...
+    sideways_full_mps: float = 1.0
+    sideways_least: float = 0.1  # ... down to this share
     # a box that is carried sideways frame after frame is turning, whatever its velocity says
     drift_gain: float = 0.15  # weight of the newest sideways residual in its running mean
     drift_free: float = 0.5  # running mean, in standard deviations, at which the binding is halved
@@ -129,7 +133,8 @@ def learn(
     )  # fmt: skip
     std_mps = np.where(goes, p.sideways_std_mps, p.sideways_free_mps)
     share = np.where(goes, p.sideways_share, p.sideways_free_share)
-    _along_only(mean, cov, heading, heading_var, std_mps, share, loose)
+    slow = (p.sideways_full_mps, p.sideways_least)
+    _along_only(mean, cov, heading, heading_var, std_mps, share, loose, slow)
     _stand_still(
         mean, cov, heading, hit,
         (p.still_range_rate_mps, p.still_speed_mps, p.still_std_mps, p.still_side_on_mps),
@@ -342,17 +347,21 @@ def _turn_box(mean: F64, before: float, change: float, arm: float) -> float:
 
 @kernel
 def _along_only(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64, loose: F64
-) -> None:
+    mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64, loose: F64,
+    slow: tuple[float, float],
+) -> None:  # fmt: skip
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
     The less the heading is known, the less it binds: its error turns speed into sideways speed.
     """
+    full, least = slow
     gain, joseph = np.empty(6), np.empty((6, 6))
     for t in range(len(mean)):
         a, b = math.cos(heading[t]), -math.sin(heading[t])  # H = [0 a 0 0 b 0]
+        ahead = abs(a * mean[t, 4] - b * mean[t, 1])
         along = mean[t, 1] * mean[t, 1] + mean[t, 4] * mean[t, 4]
-        std = std_mps[t] + share[t] * math.sqrt(along)
+        part = min(max(ahead / full, least, 1.0 - 1.0 / loose[t]), 1.0)  # a turning box does not stand
+        std = part * std_mps[t] + share[t] * math.sqrt(along)
         along += cov[t, 1, 1] + cov[t, 4, 4]
         r = std * std * loose[t] + along * heading_var[t]
         _condition(mean[t], cov[t], a, b, r, gain, joseph)

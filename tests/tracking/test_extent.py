@@ -133,6 +133,16 @@ def test_sideways_motion_is_bound_most_where_all_drive_one_way():
     assert abs(one_way.mean[0, 1]) + 0.1 < abs(free.mean[0, 1]) < 1.0
 
 
+def test_what_hardly_moves_ahead_does_not_move_sideways():
+    # the points of a standing vehicle, told by noise of azimuth, would else walk its box across the lane
+    def left(vy):
+        track = one_track(vx=0.4, vy=vy, speed_var=0.01)
+        return learn(track, one_way=True, hit=False).mean[0, 1] / 0.4
+
+    assert left(0.1) < 0.5
+    assert left(1.5) > 0.8
+
+
 def sideways_speed_after(residuals_m, vy=8.0):
     track = one_track(vx=2.0, vy=vy, speed_var=1.0)
     for residual_m in residuals_m:
