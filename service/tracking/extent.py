@@ -83,6 +83,7 @@ class ExtentParameters:
     # a settled box that stands or crawls goes where its velocity says, and hardly where its points say
     held_hits: int = 30
     held_below_mps: float = 0.5
+    held_noise_times: float = 30.0  # its places err alike frame after frame, and are worth so much less
     held_step_m: float = 0.01  # most that the points move it in a frame, end-on ...
     held_side_on_step_m: float = 0.03  # ... and side-on, where the range rate tells little
     # a vehicle without a range rate and with little speed is taken to stand
@@ -156,6 +157,30 @@ def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tupl
     out[:, 1:3], out[:, 4:6] = c * right + s * ahead, c * ahead - s * right
     heading = tracks.heading_rad + angle
     return tracks.but(heading_rad=heading, turn_rate_radps=rate), out
+
+
+def held_noise(tracks: Tracks, predicted: F64, R: F64, p: ExtentParameters) -> F64:
+    """Return the noise (T, J, 3, 3) of the measured centres, larger where held boxes are measured.
+
+    Which end of a standing vehicle answers, and which neighbour's echo lies in its gate, stays the same for
+    seconds: taken for news in every frame it pulls ever harder at a box that is held, and once a noisy range
+    rate lets the box go it leaps.
+    """
+    if not len(tracks):
+        return R
+    out = R.copy()
+    _spread(out, predicted, tracks.hits, p.held_hits, p.held_below_mps, p.held_noise_times)
+    return out
+
+
+@kernel
+def _spread(R: F64, predicted: F64, hits: I64, settled: int, below: float, times: float) -> None:
+    for i in range(len(hits)):
+        if hits[i] >= settled and math.hypot(predicted[i, 1], predicted[i, 4]) <= below:
+            for j in range(R.shape[1]):
+                for r in range(2):
+                    for c in range(2):
+                        R[i, j, r, c] *= times
 
 
 def hold(tracks: Tracks, predicted: F64, mean: F64, p: ExtentParameters) -> F64:

@@ -271,7 +271,8 @@ def _track(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
     )
     watch("associate")
-    after = bank.update(prediction, a.z, a.R, a.beta, a.miss)
+    R = extent.held_noise(tracks, prediction.mean, a.R, p.extent)
+    after = bank.update(prediction, a.z, R, a.beta, a.miss)
     watch("filter")
     mean = extent.hold(tracks, prediction.mean, after.mean, p.extent)
     tracks = tracks.but(mean=mean, cov=after.cov, memory=after.memory)

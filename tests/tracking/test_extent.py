@@ -253,6 +253,18 @@ def test_the_points_of_a_settled_box_that_stands_move_it_by_a_step_at_most(headi
     np.testing.assert_array_equal(held[0, [1, 2, 4, 5]], after[0, [1, 2, 4, 5]])
 
 
+@pytest.mark.parametrize(("speed_mps", "hits", "times"), [(0.4, 50, 30.0), (0.6, 50, 1.0), (0.4, 29, 1.0)])
+def test_places_of_a_held_box_count_less_and_its_range_rate_as_ever(speed_mps, hits, times):
+    track, R = one_track(vy=speed_mps).but(hits=np.array([hits])), np.ones((1, 2, 3, 3))
+
+    noise = extent.held_noise(track, track.mean, R, ExtentParameters())
+
+    np.testing.assert_array_equal(noise[:, :, :2, :2], times)
+    assert (noise[:, :, 2] == 1.0).all()
+    assert (noise[:, :, :, 2] == 1.0).all()
+    assert (R == 1.0).all()
+
+
 @pytest.mark.parametrize(
     ("before_mps", "after_mps", "hits"), [(0.6, 0.0, 50), (0.0, 0.6, 50), (0.0, 0.0, 29)]
 )
