@@ -120,15 +120,25 @@ def assign(
     exists = 1.0 / (1.0 + np.exp(-tracks.log_odds))
     pd = exists * detect
     b = p.boxes
-    doppler_var = (b.doppler_noise_factor * p.sensor.velocity_std_mps) ** 2
     z, R, log_weight = _weigh_pairs(
         box, group, measured, boxes, z_hat, S_prior, pd,
-        (doppler_var, b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate,
+        (*doppler_noise(p), b.doppler_floor_mps**2, b.clutter_per_m2_mps, b.clutter_per_m2, b.ellipse_gate,
          b.outlier_d2),
     )  # fmt: skip
     joint = associate(b.association, log_weight, np.log1p(-pd), temper=b.temper)
     zs, Rs, beta, own = _padded(box, group, z, R, measured, joint.beta, len(tracks))
     return Assignment(zs, Rs, beta, joint.miss, own, owner, joint.components, joint.approximated)
+
+
+def doppler_noise(p: TrackerParameters) -> tuple[float, float]:
+    """Return two parts of the variance of a point's range rate.
+
+    What wheels and turning bodies spread [m^2/s^2], the same for every point, and the radar's own noise for
+    each m^2 of its range variance [1/s^2]: both worsen alike as the echo weakens.
+    """
+    s = p.sensor
+    spread = max(p.boxes.doppler_noise_factor**2 - 1.0, 0.0) * s.velocity_std_mps**2
+    return spread, (s.velocity_std_mps / s.range_std_m) ** 2
 
 
 @kernel
@@ -141,7 +151,7 @@ def _weigh_pairs(
     outside the elliptical gate weighs nothing. Clutter is uniform in the plane: an element of azimuth is
     wider far away.
     """
-    doppler_var, doppler_floor, density3, density2, gate, outlier = q
+    spread_var, doppler_share, doppler_floor, density3, density2, gate, outlier = q
     n_pairs, n = len(box), len(boxes)
     z, R = np.empty((n_pairs, 3)), np.zeros((n_pairs, 3, 3))
     log_weight = np.full((n, n), -np.inf)
@@ -163,7 +173,7 @@ def _weigh_pairs(
         R[k, 0, 0] = cu * cu * var_u + cw * cw * var_w
         R[k, 1, 1] = (su * su * var_u + sw * sw * var_w) / (g * g)
         R[k, 0, 1] = R[k, 1, 0] = (cu * su * var_u + cw * sw * var_w) / g
-        R[k, 2, 2] = doppler_var * m[M_VAR_V] + doppler_floor
+        R[k, 2, 2] = spread_var / max(m[M_COUNT], 1.0) + doppler_share * m[M_VAR_V] + doppler_floor
         size = 3 if m[M_V] == m[M_V] else 2
         e[0], e[1], e[2] = g - z_hat[i, 0], z[k, 1] - z_hat[i, 1], m[M_V]
         e[1] = (e[1] + math.pi) % (2.0 * math.pi) - math.pi

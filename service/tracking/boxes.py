@@ -296,7 +296,7 @@ def measure_boxes(
             continue
         u_min, u_max, g_min = np.inf, -np.inf, np.inf
         u_low, u_high = np.inf, -np.inf  # the outermost but one
-        sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = 0.0
+        sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = var_r = 0.0
         sum_u = sum_w = sum_uu = sum_uw = var_w = 0.0
         n_v = 0
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
@@ -323,6 +323,7 @@ def measure_boxes(
             if p[PV] == p[PV]:
                 dv[n_v] = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
                 n_v += 1
+                var_r += p[PVAR_R]
         if count > 2:  # a point alone beyond an end is of another vehicle, or of nothing
             alone_low = u_low - u_min > ALONE_M and u_min < -0.5 * b[BLEN] - ALONE_BEYOND_M
             alone_high = u_max - u_high > ALONE_M and u_max > 0.5 * b[BLEN] + ALONE_BEYOND_M
@@ -378,7 +379,8 @@ def measure_boxes(
             corner = ROW_CORNER * width / b[BLEN] * 2.0 * to_radar * side_los
             out[q, M_TURN] = math.atan((sum_uw - sum_u * sum_w / count) / spread) + corner
             out[q, M_VAR_TURN] = (ROW_SPREAD_M2 + var_w / count) / spread
-        out[q, M_VAR_V] = 1.0 / max(n_v, 1)  # times the Doppler variance of one point, by the caller
+        # of range, m^2: Doppler worsens with a weak echo as range does, so the caller scales it
+        out[q, M_VAR_V] = var_r / max(n_v, 1) ** 2
         out[q, M_U_MIN], out[q, M_U_MAX] = u_min, u_max
         out[q, M_ECHO] = echo / count
         out[q, M_WEIGHT] = sum_a

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.tracking.assigning import Assignment
+from service.tracking.assigning import Assignment, doppler_noise
 from service.tracking.boxes import (
     BCOS,
     BSIN,
@@ -151,7 +151,8 @@ def _polar(row: F64, box: F64, p: TrackerParameters) -> tuple[F64, F64]:
     J = np.array([[x / g, y / g], [y / g**2, -x / g**2]])
     R = np.zeros((3, 3))
     R[:2, :2] = J @ view.R @ J.T
-    R[2, 2] = (p.boxes.doppler_noise_factor * p.sensor.velocity_std_mps) ** 2 * row[M_VAR_V]
+    spread_var, doppler_share = doppler_noise(p)
+    R[2, 2] = spread_var / max(row[M_COUNT], 1.0) + doppler_share * row[M_VAR_V]
     R[2, 2] += p.boxes.doppler_floor_mps**2
     rate = (box[BVX] * x + box[BVY] * y) / g + row[M_V]
     return np.array([g, np.arctan2(x, y), rate]), R

@@ -149,6 +149,7 @@ def test_a_measurement_sums_up_the_points_of_its_set(rng):
         assert row[b.M_V] == pytest.approx(
             np.median(known[:, b.PV] - rate) if len(known) else np.nan, nan_ok=True
         )
+        assert row[b.M_VAR_V] == pytest.approx(known[:, b.PVAR_R].sum() / max(len(known), 1) ** 2)
         assert row[b.M_ECHO] == pytest.approx(point[mine, b.PECHO].mean())
 
 
