@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from service.tracking import boxes as b
+from service.tracking.assigning import doppler_noise
 from service.tracking.merging import MergingParameters, find_pairs, merge
 from service.tracking.model import TrackStatus
+from service.tracking.parameters import TrackerParameters
 from service.tracking.state import Tracks, no_tracks
 
 GATE, CLUSTER_GATE = 12.0, 25.0
@@ -151,6 +153,15 @@ def test_a_measurement_sums_up_the_points_of_its_set(rng):
         )
         assert row[b.M_VAR_V] == pytest.approx(known[:, b.PVAR_R].sum() / max(len(known), 1) ** 2)
         assert row[b.M_ECHO] == pytest.approx(point[mine, b.PECHO].mean())
+
+
+def test_a_point_of_the_stated_strength_has_the_stated_doppler_noise_and_a_weak_one_more():
+    p = TrackerParameters()
+    spread, share = doppler_noise(p)
+    stated, weak = p.sensor.range_std_m**2, (2.5 * p.sensor.range_std_m) ** 2
+
+    assert spread + share * stated == pytest.approx((1.3 * p.sensor.velocity_std_mps) ** 2)
+    assert spread + share * weak == pytest.approx((0.69 + 2.5**2) * p.sensor.velocity_std_mps**2)
 
 
 def receding_car(*along_m):
