@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, extent, lifecycle, road_map
+from service.tracking import existence, extent, holding, lifecycle, road_map
 from service.tracking.assigning import Assignment, assign, box_array
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
@@ -271,10 +271,10 @@ def _track(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
     )
     watch("associate")
-    R = extent.held_noise(tracks, prediction.mean, a.R, p.extent)
+    R = holding.held_noise(tracks, prediction.mean, a.R, p.extent)
     after = bank.update(prediction, a.z, R, a.beta, a.miss)
     watch("filter")
-    mean = extent.hold(tracks, prediction.mean, after.mean, p.extent)
+    mean = holding.hold(tracks, prediction.mean, after.mean, p.extent)
     tracks = tracks.but(mean=mean, cov=after.cov, memory=after.memory)
     seen = Seen(points, label, boxes, dt_s, state.range_seen_min_m)
     tracks, a, trails = recover(tracks, a, seen, bank, state.trails, p)

@@ -1,4 +1,4 @@
-"""How a box turns, what binds its velocity, and how the road map and births learn directions."""
+"""How a box turns, what binds its velocity and holds it, and how the road map and births learn directions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from service.tracking import births, extent, road_map, tracker
+from service.tracking import births, extent, holding, road_map, tracker
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
@@ -247,7 +247,7 @@ def test_the_points_of_a_settled_box_that_stands_move_it_by_a_step_at_most(headi
     track = one_track(heading_rad=heading_rad)
     after = track.mean + np.array([0.3, 0.0, 0.0, 0.4, 0.0, 0.0])
 
-    held = extent.hold(track, track.mean, after, ExtentParameters())
+    held = holding.hold(track, track.mean, after, ExtentParameters())
 
     np.testing.assert_allclose(held[0, [0, 3]] - track.mean[0, [0, 3]], [0.6 * step_m, 0.8 * step_m])
     np.testing.assert_array_equal(held[0, [1, 2, 4, 5]], after[0, [1, 2, 4, 5]])
@@ -257,7 +257,7 @@ def test_the_points_of_a_settled_box_that_stands_move_it_by_a_step_at_most(headi
 def test_places_of_a_held_box_count_less_and_its_range_rate_as_ever(speed_mps, hits, times):
     track, R = one_track(vy=speed_mps).but(hits=np.array([hits])), np.ones((1, 2, 3, 3))
 
-    noise = extent.held_noise(track, track.mean, R, ExtentParameters())
+    noise = holding.held_noise(track, track.mean, R, ExtentParameters())
 
     np.testing.assert_array_equal(noise[:, :, :2, :2], times)
     assert (noise[:, :, 2] == 1.0).all()
@@ -272,7 +272,7 @@ def test_a_box_that_moves_or_is_young_goes_where_its_points_are(before_mps, afte
     track = one_track(vy=before_mps).but(hits=np.array([hits]))
     after = one_track(vy=after_mps, y=61.0).mean
 
-    np.testing.assert_array_equal(extent.hold(track, track.mean, after, ExtentParameters()), after)
+    np.testing.assert_array_equal(holding.hold(track, track.mean, after, ExtentParameters()), after)
 
 
 def test_what_has_no_range_rate_is_taken_to_stand():
