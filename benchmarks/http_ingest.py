@@ -1,8 +1,9 @@
-"""The part of `benchmarks/ingest.py --http`: frames posted to a real server process, one a request.
+"""The part of `benchmarks/ingest.py --http`: frames posted to a real server process.
 
-`--alone`: the tracker gets nothing to fold, and each connection posts as fast as it is answered: the most
-that the door and the log take. Otherwise each sensor posts at its rate whatever the answers take (a late post
-goes out at once and its wait counts), and "readable" is the time from there until a long poll shows it.
+`--alone`: the tracker gets nothing to fold, and each connection posts as fast as it is answered, one frame a
+request or as many as `--batch` says: the most that the door and the log take. Otherwise each sensor posts at
+its rate whatever the answers take (a late post goes out at once and its wait counts), and "readable" is the
+time from there until a long poll shows it.
 """
 
 from __future__ import annotations
@@ -38,10 +39,12 @@ class Posted:
     reply_s: list[float] = field(default_factory=list)
     readable_s: list[float] = field(default_factory=list)
     statuses: dict[int, int] = field(default_factory=dict)
+    frames: int = 0  # accepted
     last_s: float = 0.0  # when the last reply came; what follows is the wait for the last tracks
 
-    def count(self, status: int, spent_s: float) -> None:
+    def count(self, status: int, spent_s: float, frames: int = 1) -> None:
         self.statuses[status] = self.statuses.get(status, 0) + 1
+        self.frames += frames if status == 202 else 0
         self.reply_s.append(spent_s)
         self.last_s = time.perf_counter()
 
@@ -60,19 +63,19 @@ def measure_http(options: argparse.Namespace, scenes: dict[str, list[Frame]]) ->
         asyncio.run(_run(server, bodies, options, posted))
         spent_s, cpu_s = time.perf_counter() - begun_s, server.cpu_s() - cpu_s
         tracked = asyncio.run(_tracked(server.port)) - before
-    count = len(posted.reply_s)
     return {
         "sensors": options.sensors,
         "rate_hz": None if options.alone else options.rate,
         "points": options.points,
+        "frames_per_request": options.batch,
         "seconds": round(spent_s, 1),
         "tracker": "idle" if options.alone else "tracks",
-        "accepted_per_s": round(posted.statuses.get(202, 0) / (posted.last_s - begun_s), 1),
+        "accepted_per_s": round(posted.frames / (posted.last_s - begun_s), 1),
         "tracked_per_s": round(tracked / spent_s, 1),
         "statuses": posted.statuses,
         "reply_ms": percentiles_ms(posted.reply_s),
         "readable_ms": percentiles_ms(posted.readable_s),
-        "server_cpu_us_per_frame": round(1e6 * cpu_s / count),
+        "server_cpu_us_per_frame": round(1e6 * cpu_s / posted.frames),
         "server_cores": round(cpu_s / spent_s, 2),
     } | circumstances()
 
@@ -99,18 +102,30 @@ async def _run(
 ) -> None:
     if options.alone:
         until_s = time.perf_counter() + options.seconds
-        await asyncio.gather(*(_as_fast(server.port, n, b, until_s, posted) for n, b in bodies.items()))
+        await asyncio.gather(
+            *(_as_fast(server.port, n, b, until_s, posted, options.batch) for n, b in bodies.items())
+        )
     else:
         await asyncio.gather(*(_at_rate(server.port, n, b, options.rate, posted) for n, b in bodies.items()))
 
 
-async def _as_fast(port: int, name: str, bodies: list[bytes], until_s: float, posted: Posted) -> None:
+async def _as_fast(  # noqa: PLR0913, PLR0917 - what distinguishes one load from another
+    port: int, name: str, bodies: list[bytes], until_s: float, posted: Posted, batch: int
+) -> None:
     client, number = Client(port), 100
     while (begun_s := time.perf_counter()) < until_s:
-        number += 1
-        body = wire(number, name, bodies[number % len(bodies)], time.time_ns() // 1000)
-        status, _ = await client.ask("POST", path(name), body, JSON)
-        posted.count(status, time.perf_counter() - begun_s)
+        frames = []
+        for _ in range(batch):
+            number += 1
+            frames.append(wire(number, name, bodies[number % len(bodies)], time.time_ns() // 1000))
+        if batch == 1:
+            status, _ = await client.ask("POST", path(name), frames[0], JSON)
+            accepted = 1
+        else:
+            body = b"[" + b",".join(frames) + b"]"
+            status, reply = await client.ask("POST", f"{path(name)}:batch", body, JSON)
+            accepted = orjson.loads(reply)["accepted"] if status == 202 else 0
+        posted.count(status, time.perf_counter() - begun_s, accepted)
     client.close()
 
 

@@ -1,12 +1,12 @@
 """Measure ingest: frames per second that one process logs while it tracks, and how soon they are readable.
 
     python benchmarks/ingest.py [--sensors N] [--rate HZ] [--points N] [--seconds S] [--json OUT.json]
-                                [--http [--alone]]
+                                [--http [--alone [--batch N]]]
 
 Each sensor posts at its rate, one frame a call. Without `--http` the numbers are those of the host alone,
 and "readable" is the time from the call of `submit` to the wake-up of a reader that waits at the live view.
 With it a real server process is posted to (benchmarks/http_ingest.py); `--alone`: as fast as it takes,
-without tracking.
+without tracking, `--batch` frames a request.
 """
 
 from __future__ import annotations
@@ -135,8 +135,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--http", action="store_true")
     parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--batch", type=int, default=1, help="frames of one request, with --alone")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    if options.batch < 1 or (options.batch > 1 and not options.alone):
+        parser.error("--batch wants at least one frame, and --alone")
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     result = over_http(options) if options.http else measure(options)
     print(json.dumps(result, indent=1))

@@ -41,12 +41,17 @@ def test_hostile_requests_are_the_same_for_the_same_seed(monkeypatch):
 
 
 @pytest.mark.slow
-def test_frames_posted_to_a_real_server_are_accepted_and_timed():
-    options = argparse.Namespace(sensors=2, rate=20.0, points=100, seconds=1.0, alone=True)
+@pytest.mark.parametrize("batch", [1, 4])
+def test_frames_posted_to_a_real_server_are_accepted_and_timed(batch):
+    options = argparse.Namespace(sensors=2, rate=20.0, points=100, seconds=1.0, alone=True, batch=batch)
 
     found = ingest.over_http(options)
 
     assert set(found["statuses"]) == {202}
+    assert found["frames_per_request"] == batch
+    assert found["accepted_per_s"] == pytest.approx(
+        batch * found["statuses"][202] / found["seconds"], rel=0.3
+    )
     assert found["accepted_per_s"] > 20
     assert found["server_cpu_us_per_frame"] > 0
     assert found["reply_ms"]["p99"] > 0

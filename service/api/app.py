@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI
@@ -33,7 +34,7 @@ from service.api.broadcast import Broadcasts
 from service.api.dependencies import Services
 from service.api.exports import Exports
 from service.api.gate import LOOPBACK_NAMES, Gate, HttpMetrics
-from service.api.intake import Intake
+from service.api.intake import Application, take_frame
 from service.api.rates import RateLimits
 from service.api.security import Keyring, is_loopback
 from service.api.writes import Writes
@@ -67,7 +68,7 @@ def create_app(
         finally:
             await to_thread.run_sync(host.stop)
 
-    app = FastAPI(
+    app = Application(
         title="Wayside",
         version=__version__,
         lifespan=lifespan,
@@ -107,13 +108,14 @@ def create_app(
     app.openapi = lambda: openapi.describe(app)  # type: ignore[method-assign]  # FastAPI's documented way
     problems.install(app)
     app.add_middleware(Writes)
-    app.add_middleware(Intake)
-    app.add_middleware(
+    gate = partial(
         Gate,
         allowed_hosts=_allowed_hosts(settings, local=local),
         http_metrics=HttpMetrics(host.telemetry.registry),
         verbose=settings.log_level == "debug",
     )
+    app.add_middleware(gate)
+    app.short_way = gate(take_frame)
     return app
 
 

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from anyio import to_thread
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from service.api.compression import ENCODINGS, inflate, too_large
+from service.api.headers import header
 from service.api.problems import HttpProblem
 from service.errors import Unavailable
 
@@ -66,14 +67,14 @@ async def read_body(request: Request, limit_bytes: int, held: Held | None = None
     Raises HttpProblem 413 as soon as it outgrows the limit, 415, 408 or 400, and Unavailable when bodies of
     other requests leave no room.
     """
-    encoding = request.headers.get("content-encoding", "identity").strip().lower()
+    encoding = (header(request.scope, b"content-encoding") or "identity").strip().lower()
     if encoding != "identity" and encoding not in ENCODINGS:
         raise HttpProblem(
             "unsupported-media-type",
             f"want Content-Encoding gzip, zstd or none, got {encoding[:100]!r}",
             {"Accept-Encoding": "gzip, zstd"},
         )
-    declared = request.headers.get("content-length", "")
+    declared = header(request.scope, b"content-length") or ""
     if declared.isdigit() and int(declared) > limit_bytes:
         raise too_large(limit_bytes)
     try:
@@ -95,7 +96,12 @@ async def read_body(request: Request, limit_bytes: int, held: Held | None = None
 async def _arrived(request: Request, limit_bytes: int, held: Held | None) -> bytes:
     parts: list[bytes] = []
     received = 0
-    async for chunk in request.stream():
+    more = True
+    while more:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            raise ClientDisconnect
+        chunk, more = message.get("body", b""), message.get("more_body", False)
         received += len(chunk)
         if received > limit_bytes:
             raise too_large(limit_bytes)
@@ -108,7 +114,7 @@ async def _arrived(request: Request, limit_bytes: int, held: Held | None) -> byt
 
 def media_type(request: Request) -> str:
     """Return the media type of the body without its parameters, in lower case."""
-    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    return (header(request.scope, b"content-type") or "").partition(";")[0].strip().lower()
 
 
 def is_ndjson(request: Request) -> bool:

@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Engine
 from service.api.bodies import BodyRoom
 from service.api.broadcast import Broadcasts
 from service.api.exports import Exports
+from service.api.headers import header
 from service.api.problems import HttpProblem
 from service.api.rates import RateLimits
 from service.api.security import SESSION_COOKIE, Caller, Keyring
@@ -64,7 +65,8 @@ Reader = Annotated[Connection, Depends(_reader)]
 async def identify(request: Request, services: ServicesDep) -> Caller:
     """Return who sent the request; raises a 401 problem. Only keys not seen lately are looked up."""
     secret = _presented_key(request)
-    session = request.cookies.get(SESSION_COOKIE)
+    has_cookies = header(request.scope, b"cookie") is not None
+    session = request.cookies.get(SESSION_COOKIE) if has_cookies else None
     caller = services.keyring.recall(secret, session)
     return caller if caller is not None else await _look_up(request, services, secret, session)
 
@@ -142,10 +144,10 @@ def _time_us(pointer: str, text: str | None) -> int | None:
 
 def _presented_key(request: Request) -> str | None:
     """Return the key in a header; keys in URLs are never looked at, since URLs end up in logs."""
-    key = request.headers.get("x-api-key")
+    key = header(request.scope, b"x-api-key")
     if key is not None:
         return key
-    kind, _, secret = request.headers.get("authorization", "").partition(" ")
+    kind, _, secret = (header(request.scope, b"authorization") or "").partition(" ")
     return secret.strip() if kind.lower() == "bearer" else None
 
 

@@ -118,6 +118,7 @@ async def _in_time(body: bytes, config: SensorConfig) -> Frame:
 def _parse_batch(body: bytes, config: SensorConfig, ndjson: bool) -> _Parsed:  # noqa: FBT001 - run_sync has no keywords
     """Return the frames of a batch; raises InvalidFrame when the body as a whole is wrong."""
     parsed = _Parsed({}, {})
+    booleans = b"true" in body or b"false" in body
     items: list[object] = list(_lines(body)) if ndjson else _array(body, parsed.faults)
     if len(items) > BATCH_FRAMES_MAX:
         raise InvalidFrame.at("", f"has {len(items)} frames, at most {BATCH_FRAMES_MAX} are taken at once")
@@ -125,7 +126,11 @@ def _parse_batch(body: bytes, config: SensorConfig, ndjson: bool) -> _Parsed:  #
         if index in parsed.faults:
             continue
         try:
-            frame = parse_bytes(item, config) if isinstance(item, bytes) else parse_frame(item, config)
+            frame = (
+                parse_bytes(item, config)
+                if isinstance(item, bytes)
+                else parse_frame(item, config, booleans=booleans)
+            )
         except InvalidFrame as fault:
             parsed.faults[index] = fault
         else:

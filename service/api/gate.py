@@ -13,10 +13,10 @@ from urllib.parse import urlsplit
 
 import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram
-from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.api.headers import header
 from service.api.problems import KINDS, problem_response
 from service.api.security import host_name
 
@@ -95,8 +95,7 @@ class Gate:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        request_id = _given_id(headers) or f"{self._name}{next(self._numbers):08x}"
+        request_id = _given_id(scope) or f"{self._name}{next(self._numbers):08x}"
         scope.setdefault("state", {})["request_id"] = request_id
         status = 0  # of the reply, once it has begun
 
@@ -112,8 +111,9 @@ class Gate:
             await send(message)
 
         begun_s = time.perf_counter()
-        with structlog.contextvars.bound_contextvars(request_id=request_id):
-            refusal = self._refusal(scope, headers)
+        bound = structlog.contextvars.bind_contextvars(request_id=request_id)
+        try:
+            refusal = self._refusal(scope)
             if refusal is not None:
                 kind, detail = refusal
                 await problem_response(scope, KINDS[kind], detail)(scope, receive, send_marked)
@@ -140,22 +140,25 @@ class Gate:
                     _log.debug(
                         "request", method=scope["method"], path=scope["path"], seconds=round(spent_s, 6)
                     )
+        finally:
+            structlog.contextvars.reset_contextvars(**bound)
 
-    def _refusal(self, scope: Scope, headers: Headers) -> tuple[str, str] | None:
+    def _refusal(self, scope: Scope) -> tuple[str, str] | None:
         """Return the kind of problem and its detail for requests that a strange web page may have caused."""
-        host = headers.get("host", "")
+        host = header(scope, b"host") or ""
         if self._allowed_hosts is not None and host_name(host) not in self._allowed_hosts:
             return "misdirected", f"this server does not answer for the host {host[:200]!r}"
-        origin = headers.get("origin")
+        origin = header(scope, b"origin")
         if origin is not None and scope["method"] not in _SAFE_METHODS and urlsplit(origin).netloc != host:
             return "not-allowed", "a page of another origin may not change anything here"
         return None
 
 
-def _given_id(headers: Headers) -> str | None:
+def _given_id(scope: Scope) -> str | None:
     """Return the caller's trace or request id where it gives a well-formed one."""
-    trace = _TRACE_PARENT.fullmatch(headers.get("traceparent", ""))
+    parent = header(scope, b"traceparent")
+    trace = None if parent is None else _TRACE_PARENT.fullmatch(parent)
     if trace is not None:
         return trace.group(1)
-    given = headers.get("x-request-id", "")
-    return given if _REQUEST_ID.fullmatch(given) else None
+    given = header(scope, b"x-request-id")
+    return given if given is not None and _REQUEST_ID.fullmatch(given) else None

@@ -43,7 +43,12 @@ def encode_frame(frame: Frame) -> bytes:
     except struct.error as error:
         raise InvalidFrame.at("/frame", f"want numbers of 64 bits, got {error}") from error
     return b"".join(
-        (header, sensor, boot, *(getattr(frame, name).astype(_F32).tobytes() for name in _COLUMNS))
+        (
+            header,
+            sensor,
+            boot,
+            *(getattr(frame, name).astype(_F32, copy=False).tobytes() for name in _COLUMNS),
+        )
     )
 
 
@@ -74,13 +79,14 @@ def decode_frame(data: bytes | memoryview) -> Frame:
 
 def content_digest(frame: Frame) -> int:
     """Return 63 bits that name the frame's content, to tell a repeated frame from a conflicting one."""
-    return _number_of(encode_frame(frame))
+    return digest_of(encode_frame(frame))
 
 
 def points_digest(frame: Frame) -> int:
     """Return 63 bits that name time and points, whatever boot and number the frame came with."""
-    return _number_of(encode_frame(replace(frame, boot_id=None, sequence=None)))
+    return digest_of(encode_frame(replace(frame, boot_id=None, sequence=None)))
 
 
-def _number_of(data: bytes) -> int:
+def digest_of(data: bytes) -> int:
+    """Return the 63 bits that name these bytes."""
     return int.from_bytes(hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest(), "little") >> 1

@@ -58,6 +58,7 @@ _WHOLE = (*_POLAR, *_COMMON)
 _WHOLE_NAMES = tuple(field.name for field in _WHOLE)
 _WHOLE_LOW = np.array([[field.low] for field in _WHOLE])
 _WHOLE_HIGH = np.array([[field.high] for field in _WHOLE])
+_WHOLE_DIMENSIONS = 2  # columns, points
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +73,19 @@ class Columns:
     snr_db: F64  # (N,)
 
 
-def read_detections(obj: dict[str, object], max_points: int, errors: list[FieldError]) -> Columns | None:
-    """Return the detections of a frame; on any fault append to `errors` and return None."""
+def read_detections(
+    obj: dict[str, object], max_points: int, errors: list[FieldError], *, booleans: bool = True
+) -> Columns | None:
+    """Return the detections of a frame; on any fault append to `errors` and return None.
+
+    booleans: there may be some among the numbers, so that they are looked for.
+    """
     detections = obj.get("detections")
     if isinstance(detections, list):
         return _read_rows(detections, max_points, errors)
     if isinstance(detections, dict):
+        if not booleans and (whole := _whole(detections, max_points)) is not None:
+            return whole
         return _read_columns(detections, max_points, errors)
     reason = "is missing" if "detections" not in obj else "want an array of objects or an object of arrays"
     errors.append(FieldError("/detections", reason))
@@ -114,8 +122,6 @@ def _read_columns(detections: dict[str, object], max_points: int, errors: list[F
         errors.append(FieldError("/detections", _one_kind(polar=True)))
         return None
     fields = (_POLAR if polar else _CARTESIAN) + _COMMON
-    if polar and (whole := _whole(detections, max_points)) is not None:
-        return whole
     lead = detections.get(fields[0].name)
     count = len(lead) if isinstance(lead, list) else 0
     known = len(errors)
@@ -146,21 +152,26 @@ def _read_columns(detections: dict[str, object], max_points: int, errors: list[F
 def _whole(detections: dict[str, object], max_points: int) -> Columns | None:
     """Return the columns where all four are there and right, as they mostly are; None: look closer.
 
-    One array for all of them takes a third of the time that one for each does.
+    For a frame without booleans, which numpy takes for numbers; it tells all else by the type of the array.
+    One array for all columns takes a third of the time that one for each does, and looking at the type of
+    each value as long again.
     """
     columns = [detections.get(name) for name in _WHOLE_NAMES]
-    if not all(type(column) is list for column in columns):
+    if not (_CARTESIAN_NAMES.isdisjoint(detections) and all(type(column) is list for column in columns)):
         return None
     lists = cast("list[list[float]]", columns)
     if len({len(column) for column in lists}) != 1 or len(lists[0]) > max_points:
         return None
-    if not all(set(map(type, column)) <= _NUMBER for column in lists):
+    try:
+        found = np.array(lists)
+    except ValueError:  # arrays among the numbers
         return None
-    values = _to_array(lists)
-    if values is None or not bool(((values >= _WHOLE_LOW) & (values <= _WHOLE_HIGH)).all()):
+    if found.ndim != _WHOLE_DIMENSIONS or found.dtype.kind not in "fi":  # text, null, huge integers
         return None
+    values = found.astype(np.float64, copy=False)
     first, second, velocity, snr = values
-    return Columns(True, first, second, np.zeros(len(first)), velocity, snr)
+    right = bool(((values >= _WHOLE_LOW) & (values <= _WHOLE_HIGH)).all())
+    return Columns(True, first, second, np.zeros(len(first)), velocity, snr) if right else None
 
 
 def _assemble(

@@ -43,7 +43,8 @@ class _Head:
 
 def parse_bytes(body: bytes, config: SensorConfig, max_points: int = MAX_POINTS) -> Frame:
     """Return the frame in one JSON text; raises InvalidFrame naming each wrong field."""
-    return parse_frame(load_json(body), config, max_points)
+    booleans = b"true" in body or b"false" in body
+    return parse_frame(load_json(body), config, max_points, booleans=booleans)
 
 
 def load_json(body: bytes) -> object:
@@ -54,13 +55,18 @@ def load_json(body: bytes) -> object:
         raise InvalidFrame(str(error), error.errors) from None
 
 
-def parse_frame(obj: object, config: SensorConfig, max_points: int = MAX_POINTS) -> Frame:
-    """Return the frame in a parsed JSON value; raises InvalidFrame with a JSON Pointer for each fault."""
+def parse_frame(
+    obj: object, config: SensorConfig, max_points: int = MAX_POINTS, *, booleans: bool = True
+) -> Frame:
+    """Return the frame in a parsed JSON value; raises InvalidFrame with a JSON Pointer for each fault.
+
+    booleans: the value may hold some, so that they are looked for.
+    """
     if not isinstance(obj, dict):
         raise InvalidFrame.at("", f"want an object, got {json_kind(obj)}")
     errors: list[FieldError] = []
     head = _read_head(obj, config, errors)
-    columns = read_detections(obj, max_points, errors)
+    columns = read_detections(obj, max_points, errors, booleans=booleans)
     if errors or columns is None or head is None:
         first = errors[0]
         raise InvalidFrame(f"{first.pointer}: {first.reason}", errors)

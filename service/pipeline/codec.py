@@ -25,7 +25,8 @@ def encode_record(record: Record) -> bytes:
     """Return the record as bytes; raises InvalidFrame where a frame's ids or numbers do not fit."""
     match record:
         case FrameRecord():
-            kind, time_us, body = _Kind.FRAME, record.received_us, encode_frame(record.frame)
+            kind, time_us = _Kind.FRAME, record.received_us
+            body = encode_frame(record.frame) if record.encoded is None else record.encoded
         case ControlRecord():
             kind, time_us, body = _Kind.CONTROL, record.received_us, record.config.encode()
         case TickRecord():

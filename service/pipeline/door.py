@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from service.errors import WaysideError
-from service.formats.columnar import points_digest
+from service.formats.columnar import digest_of, encode_frame, points_digest
 from service.pipeline.channel import Doorway
 from service.pipeline.order import Fate, OrderState, admit
 from service.pipeline.records import FrameRecord
@@ -97,10 +97,11 @@ class Door:
                 results.append(refusal)
                 newest_us = frame.time_us
                 continue
-            order, admission = admit(order, frame)
+            encoded = encode_frame(frame)
+            order, admission = admit(order, frame, digest_of(encoded))
             result = _result(admission.fate, frame)
             results.append(result)
-            records.append(FrameRecord(frame, received_us))
+            records.append(FrameRecord(frame, received_us, encoded))
             if result.outcome is Outcome.ACCEPTED:
                 newest_us = frame.time_us
         if newest_us is not None:

@@ -131,18 +131,22 @@ class Admission:
     clock_step: bool = False  # the sensor's clock was set back; `released` begins a new history
 
 
-def admit(state: OrderState, frame: Frame) -> tuple[OrderState, Admission]:
-    """Return the state after one more frame has arrived, and what became of it."""
+def admit(state: OrderState, frame: Frame, digest: int | None = None) -> tuple[OrderState, Admission]:
+    """Return the state after one more frame has arrived, and what became of it.
+
+    digest: the frame's content_digest, where it is known already.
+    """
     boot, opens = _boot_of(state, frame)
     numbered = frame.sequence is not None
     key = frame.time_us if frame.sequence is None else frame.sequence
-    digest, space = content_digest(frame), 2 * boot + (not numbered)
+    digest = content_digest(frame) if digest is None else digest
+    space = 2 * boot + (not numbered)
     seen = None if opens else state.recent.digest_of(space, key)
     if seen != digest and numbered and frame.boot_id is None and state.recent.repeats(key, digest):
         return state, Admission(Fate.DUPLICATE)
     if seen is not None:
         return state, Admission(Fate.DUPLICATE if seen == digest else Fate.CONFLICT)
-    state = replace(state, recent=state.recent.remember(space, key, digest))
+    state = _with_recent(state, state.recent.remember(space, key, digest))
     if boot < state.boot:
         return state, Admission(Fate.LATE)
     before = Admission(Fate.TRACKED)
@@ -158,6 +162,22 @@ def admit(state: OrderState, frame: Frame) -> tuple[OrderState, Admission]:
         released=before.released + after.released,
         missing=before.missing + after.missing,
         dropped=before.dropped + after.dropped,
+    )
+
+
+def _with_recent(state: OrderState, recent: RecentKeys) -> OrderState:
+    """Return the state with other recent keys; `replace` takes five times as long, once a frame."""
+    return OrderState(
+        state.boot,
+        state.boot_id,
+        state.former_boots,
+        state.sequence,
+        state.time_us,
+        state.number,
+        state.number_offset,
+        state.far_back,
+        state.held,
+        recent,
     )
 
 
@@ -254,13 +274,17 @@ def _release(state: OrderState, frame: Frame) -> tuple[OrderState, Released]:
         if wanted >= number and not (soon and wanted - number > NUMBER_JUMP):
             number = wanted
         offset = number - frame.sequence
-    state = replace(
-        state,
-        sequence=state.sequence if frame.sequence is None else frame.sequence,
-        time_us=frame.time_us,
-        number=number,
-        number_offset=offset,
-        far_back=0,
+    state = OrderState(  # as `replace` would, in a fifth of the time
+        state.boot,
+        state.boot_id,
+        state.former_boots,
+        state.sequence if frame.sequence is None else frame.sequence,
+        frame.time_us,
+        number,
+        offset,
+        0,
+        state.held,
+        state.recent,
     )
     return state, Released(frame, number, state.boot)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from service.tracking.model import Frame
 
@@ -13,6 +13,7 @@ class FrameRecord:
 
     frame: Frame
     received_us: int  # host time at the door; evidence only, the fold never uses it
+    encoded: bytes | None = field(default=None, compare=False, repr=False)  # the frame's, where made already
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -100,6 +101,15 @@ class Segment:
         with self._writer:
             self._writer.execute("BEGIN IMMEDIATE")
             self._writer.executemany("INSERT INTO record VALUES (?, ?, ?)", rows)
+
+    def extend(self, rows: Iterable[tuple[str, int, bytes]]) -> None:
+        """Take in that rows were appended."""
+        ends: dict[str, list[int]] = defaultdict(list)
+        for sensor_id, position, _ in rows:
+            ends[sensor_id].append(position)
+        for sensor_id, positions in ends.items():
+            known = self.extents.get(sensor_id)
+            self.extents[sensor_id] = Extent(positions[0] if known is None else known.first, positions[-1])
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
         """Return up to `limit` bodies of a sensor with positions above `after`, in order."""

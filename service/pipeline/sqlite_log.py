@@ -14,7 +14,7 @@ import shutil
 import sqlite3
 import threading
 import time
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
@@ -33,6 +33,7 @@ from service.pipeline.sieve import Sieve
 log = structlog.get_logger(__name__)
 
 _ROOM_CHECK_S = 1.0  # how often the size of the log and the free space are looked at
+_SIZE_CHECKS, _GROWTH_BYTES = 256, 4096  # looks at the size of a file while it fills; growth beside a record
 _LEAST_SEGMENTS = 8  # of a full log, so that dropping the oldest frees a small part of it
 
 
@@ -91,6 +92,7 @@ class SqliteLog:
         self._closing = False
         self._refusal: str | None = None
         self._room_checked_s = -_ROOM_CHECK_S
+        self._grown_bytes = 0  # about, since the size of the newest file was looked at
         self.sieve = Sieve()
         try:
             self._open_segments()
@@ -202,8 +204,9 @@ class SqliteLog:
             written.append((pending, positions))
         segment = self._active()
         segment.append(rows)
+        self._grown_bytes += len(rows) * _GROWTH_BYTES + sum(len(body) for _, _, body in rows)
         with self._guard:
-            _extend(segment.extents, rows)
+            segment.extend(rows)
             for sensor_id, position in last.items():  # `reserve` may have raised others meanwhile
                 self._last[sensor_id] = max(position, self._last.get(sensor_id, 0))
         if self._on_durable is not None:
@@ -214,6 +217,9 @@ class SqliteLog:
     def _active(self) -> Segment:
         """Return the segment to write into; a new one when the newest is large enough."""
         newest = self._segments[-1]
+        if self._grown_bytes < self._segment_bytes // _SIZE_CHECKS:
+            return newest
+        self._grown_bytes = 0
         if newest.size_bytes() < self._segment_bytes:
             return newest
         with self._guard:
@@ -363,15 +369,6 @@ class SqliteLog:
         for segment in self._segments:
             segment.close()
         os.close(self._lock_file)
-
-
-def _extend(extents: dict[str, Extent], rows: Sequence[tuple[str, int, bytes]]) -> None:
-    ends: dict[str, list[int]] = defaultdict(list)
-    for sensor_id, position, _ in rows:
-        ends[sensor_id].append(position)
-    for sensor_id, positions in ends.items():
-        known = extents.get(sensor_id)
-        extents[sensor_id] = Extent(positions[0] if known is None else known.first, positions[-1])
 
 
 def _next_path(path: Path) -> Path:

@@ -4,9 +4,12 @@ import gzip
 import json
 
 import pytest
+import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from service.api import frames as frames_routes
+from service.api.headers import header
 from service.api.track_schemas import BatchReply, FrameReply
 from tests.api.serving import problem, recording
 
@@ -89,6 +92,52 @@ def test_a_frame_from_the_future_is_refused(service):
         problem(service.post("/sensors/radar-1/frames", json=frame), 422)["errors"][0]["pointer"]
         == "/timestamp"
     )
+
+
+def test_booleans_are_no_numbers_in_a_batch_either(service):
+    frames = recording("intake", 3)
+    frames[1]["detections"] = {"range_m": [1.0, True], "azimuth_deg": [0, 0], "snr_db": [1, 1]}
+    for body in (json.dumps(frames), "\n".join(map(json.dumps, frames))):
+        kind = "application/json" if body.startswith("[") else "application/x-ndjson"
+        reply = service.post(
+            "/sensors/intake/frames:batch", content=body, headers={"Content-Type": kind}
+        ).json()
+        assert [result["status"] == "rejected" for result in reply["results"]] == [False, True, False]
+        assert reply["results"][1]["errors"][0]["pointer"] == "/1/detections/range_m/1"
+
+
+def test_an_unexpected_error_on_the_short_way_is_a_problem_as_elsewhere(service, monkeypatch):
+    async def fail(*_):
+        raise RuntimeError("the secret place of the log")
+
+    monkeypatch.setattr(frames_routes, "post_frame", fail)
+    with structlog.testing.capture_logs() as lines:
+        reply = service.post("/sensors/intake/frames", json={})
+
+    body = problem(reply, 500)
+    assert "secret" not in reply.text
+    assert [line["event"] for line in lines] == ["request failed"]
+    assert reply.headers["x-content-type-options"] == "nosniff"
+    assert reply.headers["x-request-id"] == body["request_id"]
+    text = service.client.get("/metrics").text
+    route = "/api/v1/sensors/{sensor_id}/frames"
+    assert f'wayside_http_requests_total{{method="POST",route="{route}",status="500"}} 1.0' in text
+
+
+def test_strange_hosts_and_origins_are_refused_on_the_short_way_too(service):
+    frame = recording("intake", 1)[0]
+    problem(service.post("/sensors/intake/frames", json=frame, headers={"Host": "evil.example"}), 421)
+    problem(
+        service.post("/sensors/intake/frames", json=frame, headers={"Origin": "http://evil.example"}), 403
+    )
+
+
+def test_of_a_field_that_comes_twice_the_first_counts():
+    scope = {"headers": [(b"host", b"one"), (b"origin", b"\xe9"), (b"host", b"two")]}
+
+    assert header(scope, b"host") == "one"
+    assert header(scope, b"origin") == "\xe9"
+    assert header(scope, b"cookie") is None
 
 
 def test_wrong_bodies_are_problems_with_pointers(service):

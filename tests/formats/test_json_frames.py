@@ -197,6 +197,33 @@ def test_a_wrong_head_is_named_by_its_pointer(field, value):
     assert pointers([], **{field: value}) == [f"/{field}"]
 
 
+ODD = st.sampled_from([True, False, None, "1", "", [1], [], {}, -0.5, 2**63, 2**64 - 1, 1e300, 10_000, 0])
+NUMBER = st.one_of(st.integers(0, 100), st.floats(0, 100))
+
+
+@given(st.lists(st.lists(st.one_of(NUMBER, NUMBER, NUMBER, ODD), max_size=3), min_size=4, max_size=4))
+def test_the_quick_way_of_columns_finds_the_same_as_the_slow_one(columns):
+    obj = frame(dict(zip(NAMES, columns, strict=True)))
+    wrong = faults(obj)  # looks for booleans, value by value
+    if wrong is None:
+        assert same(parse_bytes(orjson.dumps(obj), CONFIG), parse_frame(obj, CONFIG))
+        return
+    with pytest.raises(InvalidFrame) as quick:
+        parse_bytes(orjson.dumps(obj), CONFIG)
+    assert [fault.pointer for fault in quick.value.errors] == wrong
+
+
+@pytest.mark.parametrize("odd", [True, False, None, "1", [1], {}, -0.5, 2**64 - 1])
+def test_one_odd_value_among_the_columns_is_named(odd):
+    columns = {name: [1.0, 2, 3.5] for name in NAMES}
+    columns["range_m"][1] = odd
+    body = orjson.dumps(frame(columns))
+
+    with pytest.raises(InvalidFrame) as refused:
+        parse_bytes(body, CONFIG)
+    assert [fault.pointer for fault in refused.value.errors] == ["/detections/range_m/1"]
+
+
 def test_every_fault_of_a_frame_is_named_at_once():
     assert pointers([{"range_m": -1, "azimuth_deg": 200}], frame=-1, timestamp="") == [
         "/timestamp",

@@ -38,6 +38,9 @@ def test_a_clear_text_is_read_as_it_stands(value):
         (b'[{"a": 1}, {"a": 1, "b": "\\"", "a": 2}]', ["/1/a"]),
         (b'{"a": 1, "\\u0061": 2}', ["/a"]),
         (b'{"a/b~": 1, "a/b~": [{"c": 1, "c": 1}]}', ["/a~1b~0", "/a~1b~0/0/c"]),
+        (b'{"a": ["x"], "a": 1}', ["/a"]),
+        (b'{"a": ["x", "y"], "b": "z", "b": 1}', ["/b"]),
+        (b'{"b": {"c": "x"}, "a": [1], "b": {"c": ["x"]}}', ["/b"]),
         (b'{"a": 1e5, "x": 123456789012345678901234567890, "a": []}', ["/a"]),
     ],
 )
@@ -54,6 +57,7 @@ def test_a_member_that_stands_twice_is_found(body, pointers):
     [
         (b"[" * 40 + b"]" * 40, "more than 32 levels"),
         (b'{"a":' * 40 + b"1" + b"}" * 40, "more than 32 levels"),
+        (b'{"a": [1, ' + b"[" * 40 + b"]" * 40 + b"]}", "more than 32 levels"),
         (b"[" + b"[]," * 100_000 + b"[]]", "nearly empty"),
         (b"[1e999]", "is not JSON"),
         (b"NaN", "is not JSON"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from service.errors import InvalidFrame, StorageError, Unavailable
+from service.formats.columnar import encode_frame
 from service.pipeline.codec import decode_record, encode_record
 from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, TickRecord
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
@@ -51,6 +52,11 @@ def test_every_damaged_byte_of_a_record_is_noticed(record):
         decode_record(data[:-1])
     with pytest.raises(StorageError):
         decode_record(b"")
+
+
+def test_a_frame_that_was_encoded_at_the_door_is_written_as_such():
+    item = frame(1, 1)
+    assert encode_record(FrameRecord(item, 5, encode_frame(item))) == encode_record(FrameRecord(item, 5))
 
 
 def test_records_are_read_back_in_order_by_position(frame_log):
