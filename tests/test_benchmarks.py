@@ -8,13 +8,15 @@ import random
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import counts, hostile, ingest  # noqa: E402
+from benchmarks import counts, diagnosis, hostile, ingest  # noqa: E402
 
 
 @pytest.mark.slow
@@ -85,3 +87,72 @@ def test_the_counts_of_a_short_recording_are_held_against_exact_truth():
     assert abs(found["time_bias_s"]) < 0.05
     assert sum(metres for metres, _ in whole.cells.values()) > 1000
     assert len(broken.crossings) < len(whole.crossings)
+
+
+def seen(tracks, points=(), merged=()):
+    """Return a frame of tracks {number: (x, y, confirmed)} and points (vehicle, owner)."""
+    source, owner = np.array(points, dtype=np.int64).reshape(-1, 2).T
+    return diagnosis.Step(source, owner, tracks, frozenset(merged))
+
+
+def held_against_truth(steps, matched, vehicle_at=((7, 0.0, 50.0), (8, 3.5, 50.0))):
+    frames, n = len(steps), len(vehicle_at)
+    rows = SimpleNamespace(
+        start=np.arange(frames + 1) * n,
+        vehicle=np.tile([v for v, _, _ in vehicle_at], frames),
+        x_m=np.tile([x for _, x, _ in vehicle_at], frames),
+        y_m=np.tile([y for _, _, y in vehicle_at], frames),
+        heading_rad=np.zeros(frames * n),
+    )
+    return diagnosis.Diagnosis(SimpleNamespace(rows=rows), steps, None, None, matched, [])
+
+
+ON, AWAY, ASIDE = (0.0, 50.0, True), (0.0, 62.0, True), (3.4, 50.0, True)
+
+
+@pytest.mark.parametrize(
+    ("last", "points", "here", "merged", "matched", "cause"),
+    [
+        (ON, [], {}, [], {}, "ended, the vehicle gave no points"),
+        (ON, [(7, diagnosis.CLUTTER)] * 2, {}, [], {}, "ended, its points were taken for clutter"),
+        (AWAY, [(7, 2)] * 2, {}, [], {}, "ended, away from the vehicle"),
+        (ON, [(7, 2)] * 2, {}, [], {}, "ended, points claimed by others"),
+        (ON, [(7, 1)] * 2, {}, [], {}, "ended on the vehicle"),
+        (ON, [(7, 1)] * 2, {}, [1], {}, "merged into another track"),
+        (ON, [(7, 1)] * 2, {1: ASIDE}, [], {8: 1}, "alive, on another vehicle"),
+        (ON, [(7, 1)] * 2, {1: AWAY}, [], {}, "alive, off the vehicle"),
+    ],
+)
+def test_a_switch_is_told_by_what_became_of_the_old_track(last, points, here, merged, matched, cause):
+    steps = [seen({1: last}, points)] * 3 + [seen({**here, 2: ON}, points, merged)]
+
+    d = held_against_truth(steps, [{7: 1}] * 3 + [{7: 2, **matched}])
+
+    assert d.why_switched(3, 7, 2, 1) == cause
+
+
+@pytest.mark.parametrize(
+    ("tracks", "owner", "cause"),
+    [
+        ({}, diagnosis.FREE, "points free, nothing born"),
+        ({}, diagnosis.CLUTTER, "points taken for clutter"),
+        ({}, 5, "points claimed by others"),
+        ({1: (0.0, 50.0, False)}, 1, "its track is tentative"),
+        ({1: (0.5, 53.0, True)}, 1, "a track is near, but misplaced or of another"),
+    ],
+)
+def test_a_missed_vehicle_is_told_by_what_became_of_its_points(tracks, owner, cause):
+    assert held_against_truth([seen(tracks, [(7, owner)] * 2)], [{}]).why_missed(0, 7) == cause
+
+
+@pytest.mark.parametrize(
+    ("points", "matched", "cause"),
+    [
+        ([], {}, "coasts without points"),
+        ([(-2, 1), (-2, 1), (7, 1)], {}, "points of ghost"),
+        ([(7, 1)], {7: 2}, "points of a vehicle that has a track"),
+        ([(7, 1)], {}, "displaced from its vehicle"),
+    ],
+)
+def test_a_false_track_is_told_by_what_it_lives_on(points, matched, cause):
+    assert held_against_truth([seen({1: AWAY}, points)], [matched]).why_false(0, 1) == cause

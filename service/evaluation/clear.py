@@ -70,7 +70,7 @@ def _match(sequence: LabelledSequence, threshold: float) -> tuple[I64, int, floa
     ):
         if not len(vehicles) or not len(tracks):
             continue
-        rows, columns = _pairs(before[vehicles], tracks, similarity, threshold)
+        rows, columns = keep_partners(before[vehicles], tracks, similarity, threshold)
         v, t = vehicles[rows], tracks[columns]
         switches += int(np.count_nonzero((last[v] >= 0) & (last[v] != t)))
         last[v] = t
@@ -81,7 +81,7 @@ def _match(sequence: LabelledSequence, threshold: float) -> tuple[I64, int, floa
     return matched, switches, total
 
 
-def _pairs(before: I64, tracks: I64, similarity: F64, threshold: float) -> tuple[I64, I64]:
+def keep_partners(before: I64, tracks: I64, similarity: F64, threshold: float) -> tuple[I64, I64]:
     """Return rows and columns of the pairs that keep most partners, and then are most similar."""
     score = _KEEP * (before[:, None] == tracks[None, :]) + similarity
     score[similarity < threshold - _EPSILON] = 0.0
