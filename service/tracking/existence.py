@@ -111,25 +111,36 @@ def _detection(
 
 
 def shadowed(tracks: Tracks) -> Bool:
-    """Return which boxes (T,) lie behind a nearer confirmed box on the same bearing."""
-    return _shadowed(tracks.mean, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.status)
+    """Return which boxes (T,) lie behind a nearer confirmed box on the same bearing.
+
+    A confirmed one that may lie there counts as lying there, to a standard deviation of its bearing: what is
+    hidden is not measured, and its place becomes uncertain when it matters most.
+    """
+    return _shadowed(
+        tracks.mean, tracks.cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.status
+    )
 
 
 @kernel
-def _shadowed(mean: F64, heading: F64, length: F64, width: F64, status: U8) -> Bool:
+def _shadowed(mean: F64, cov: F64, heading: F64, length: F64, width: F64, status: U8) -> Bool:
     n = len(heading)
-    g, bearing, depth, half = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    g, bearing, depth, half, reach = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
         g[i] = math.hypot(mean[i, 0], mean[i, 3])
         bearing[i] = math.atan2(mean[i, 0], mean[i, 3])
         along, across = abs(math.cos(heading[i] - bearing[i])), abs(math.sin(heading[i] - bearing[i]))
         half[i] = 0.5 * (width[i] * along + length[i] * across) / max(g[i], 1.0)
         depth[i] = 0.5 * (length[i] * along + width[i] * across)
+        reach[i] = 0.3 * half[i]
+        if status[i] != _TENTATIVE:
+            s, c = math.sin(bearing[i]), math.cos(bearing[i])
+            variance = c * c * cov[i, 0, 0] - 2.0 * s * c * cov[i, 0, 3] + s * s * cov[i, 3, 3]
+            reach[i] += math.sqrt(max(variance, 0.0)) / max(g[i], 1.0)
     out = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         for j in range(n):
             if status[j] != _TENTATIVE and g[j] + depth[j] < g[i] - depth[i] + 1.0:
-                if abs(bearing[i] - bearing[j]) < half[j] + 0.3 * half[i]:
+                if abs(bearing[i] - bearing[j]) < half[j] + reach[i]:
                     out[i] = True
                     break
     return out

@@ -38,3 +38,27 @@ def test_a_post_in_plain_sight_is_given_up():
 
 def test_a_vehicle_in_a_shadow_is_not_taken_for_a_post():
     assert not ends(hidden=True)  # what stands behind a truck gives few points, too
+
+
+def in_shadow(aside_m, *, std_m, status=TrackStatus.CONFIRMED):
+    """Return whether a car 90 m away, aside_m from the line through a truck 60 m away, lies in its shadow."""
+    blank = no_tracks(0)
+    columns = (getattr(blank, field.name) for field in dataclasses.fields(blank))
+    cov = np.zeros((2, 6, 6))
+    cov[:, 0, 0] = std_m**2
+    tracks = Tracks(*(np.zeros((2, *c.shape[1:]), c.dtype) for c in columns)).but(
+        mean=np.array([[0.0, 0.0, 0.0, 60.0, 12.0, 0.0], [aside_m, 0.0, 0.0, 90.0, 12.0, 0.0]]), cov=cov,
+        length_m=np.array([12.0, 4.4]), width_m=np.array([2.5, 1.9]),
+        status=np.array([TrackStatus.CONFIRMED, status], dtype=np.uint8),
+    )  # fmt: skip
+    hidden = existence.shadowed(tracks)
+    assert not hidden[0]
+    return bool(hidden[1])
+
+
+def test_a_vehicle_that_may_well_lie_in_a_shadow_is_taken_to():
+    assert in_shadow(2.0, std_m=0.1)
+    assert not in_shadow(3.0, std_m=0.1)
+    assert in_shadow(3.0, std_m=1.0)
+    assert not in_shadow(4.0, std_m=1.0)
+    assert not in_shadow(3.0, std_m=1.0, status=TrackStatus.TENTATIVE)  # nobody knows that it exists
