@@ -178,6 +178,16 @@ def gather(rows: list[F64]) -> Births:
     )  # fmt: skip
 
 
+def rows(born: Births) -> list[F64]:
+    """Return a row for each new track, as `gather` takes them."""
+    table = np.column_stack([
+        born.x_m, born.y_m, born.heading_rad, born.vx_mps, born.vy_mps, born.std_radial_m,
+        born.std_tangential_m, born.std_radial_mps, born.std_tangential_mps, born.points, born.extent_m,
+        born.length_m, born.standing, born.heading_var,
+    ])  # fmt: skip
+    return list(table)
+
+
 @kernel
 def _best_box(
     x: F64, y: F64, headings: F64, length_m: float, width_m: float

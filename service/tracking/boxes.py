@@ -25,7 +25,8 @@ BOX_COLUMNS = 15
 # columns of a measurement of one box by one set of points
 M_U, M_W, M_VAR_U, M_VAR_W, M_V, M_VAR_V, M_COUNT, M_U_MIN, M_U_MAX, M_ECHO, M_EDGE, M_WEIGHT = range(12)
 M_TURN, M_VAR_TURN, M_U_MEAN, M_W_MEAN = range(12, 16)  # angle from the heading to the row of points
-MEASUREMENT_COLUMNS = 16
+M_SCATTER = 16  # mean square of the points' places across, in variances of one vehicle's points
+MEASUREMENT_COLUMNS = 17
 
 # Visible-side bias of the weighted mean across the box, in widths, by aspect angle: side faces turn towards
 # the
@@ -296,7 +297,7 @@ def measure_boxes(
             continue
         u_min, u_max, g_min = np.inf, -np.inf, np.inf
         u_low, u_high = np.inf, -np.inf  # the outermost but one
-        sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = var_r = 0.0
+        sum_a = sum_aw = sum_a2 = sum_a2var = var_u = echo = var_r = scatter = 0.0
         sum_u = sum_w = sum_uu = sum_uw = var_w = 0.0
         n_v = 0
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
@@ -320,6 +321,8 @@ def measure_boxes(
             sum_u, sum_w, sum_uu, sum_uw = sum_u + u, sum_w + w, sum_uu + u * u, sum_uw + u * w
             var_w += across2 * p[PVAR_R] + to_radar * to_radar * var_t
             echo += p[PECHO]
+            own_w = across2 * p[PVAR_R] + to_radar * to_radar * var_t + (0.25 * b[BWID]) ** 2
+            scatter += w * w / (own_w + b[BVAR_W])
             if p[PV] == p[PV]:
                 dv[n_v] = p[PV] - (b[BVX] * p[PX] + b[BVY] * p[PY]) / max(p[PG], 1e-6)
                 n_v += 1
@@ -384,4 +387,5 @@ def measure_boxes(
         out[q, M_U_MIN], out[q, M_U_MAX] = u_min, u_max
         out[q, M_ECHO] = echo / count
         out[q, M_WEIGHT] = sum_a
+        out[q, M_SCATTER] = scatter / count
     return out

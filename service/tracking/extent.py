@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.boxes import M_COUNT, M_TURN, M_U_MEAN, M_VAR_TURN, M_VAR_W, M_W, M_W_MEAN
+from service.tracking.boxes import M_COUNT, M_SCATTER, M_TURN, M_U_MEAN, M_VAR_TURN, M_VAR_W, M_W, M_W_MEAN
 from service.tracking.kernel import kernel, part
 from service.tracking.length_kernels import learn_length
 from service.tracking.model import F64, Bool
@@ -70,6 +70,7 @@ class ExtentParameters:
     sideways_least: float = 0.1  # ... down to this share
     # a box that is carried sideways frame after frame is turning, whatever its velocity says
     drift_gain: float = 0.15  # weight of the newest sideways residual in its running mean
+    scatter_gain: float = 0.05  # the same, of how far its points scatter across
     drift_free: float = 0.5  # running mean, in standard deviations, at which the binding is halved
     # the direction in which all others drive measures a heading, too
     road_std_rad: float = 0.1  # of a vehicle about it ...
@@ -116,7 +117,11 @@ def learn(
     )  # fmt: skip
     heading_var = tracks.heading_var.copy()
     turn_rate, drift = tracks.turn_rate_radps.copy(), tracks.drift.copy()
-    loose = _drift(mean, cov, heading, measured, hit, drift, p.drift_gain, p.drift_free, p.turn_above_mps)
+    scatter = tracks.scatter.copy()
+    loose = _drift(
+        mean, cov, heading, measured, hit, drift, scatter, p.scatter_gain, p.drift_gain, p.drift_free,
+        p.turn_above_mps,
+    )  # fmt: skip
     pivot = _pivots(measured, hit, length)
     _follow_road(
         mean, heading, heading_var, pivot, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
@@ -142,7 +147,7 @@ def learn(
     )  # fmt: skip
     return tracks.but(
         mean=mean, cov=cov, heading_rad=heading, heading_var=heading_var, turn_rate_radps=turn_rate,
-        drift=drift, length_m=length, width_m=width, extent_m=ring,
+        drift=drift, scatter=scatter, length_m=length, width_m=width, extent_m=ring,
     )  # fmt: skip
 
 
@@ -167,11 +172,13 @@ def _drift(
     measured: F64,
     hit: Bool,
     drift: F64,
+    scatter: F64,
+    scatter_gain: float,
     gain: float,
     free: float,
     above: float,
 ) -> F64:
-    """Update the running mean of the sideways residuals in place; return the factors (T,) that free it.
+    """Update the running means of sideways residuals and scatter in place; return what frees the boxes (T,).
 
     A wrong heading binds the velocity to a wrong line, and the points carry the box off it: residuals
     of one sign, frame after frame, where noise changes sign.
@@ -183,6 +190,7 @@ def _drift(
             across = c * c * cov[i, 0, 0] - 2.0 * s * c * cov[i, 0, 3] + s * s * cov[i, 3, 3]
             residual = measured[i, M_W] / math.sqrt(measured[i, M_VAR_W] + across)
             drift[i] += gain * (min(max(residual, -3.0), 3.0) - drift[i])
+            scatter[i] += scatter_gain * (min(measured[i, M_SCATTER], 9.0) - scatter[i])
         moving = math.hypot(mean[i, 1], mean[i, 4]) > above
         loose[i] = 1.0 + (drift[i] / free) ** 4 if moving else 1.0
     return loose

@@ -26,6 +26,7 @@ from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.road_map import RoadMapParameters
+from service.tracking.splitting import SplittingParameters
 
 T = TypeVar("T")
 
@@ -105,6 +106,7 @@ class TrackerParameters:
     existence: ExistenceParameters = field(default_factory=ExistenceParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
+    splitting: SplittingParameters = field(default_factory=SplittingParameters)
     road: RoadMapParameters = field(default_factory=RoadMapParameters)
     # at 20 Hz a lost track lives for a quarter of a second: three scans, anywhere within near_m
     recovery: RecoveryParameters = field(

@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.tracking import births as birth
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, extent, holding, lifecycle, road_map
+from service.tracking import existence, extent, holding, lifecycle, road_map, splitting
 from service.tracking.assigning import Assignment, assign, box_array
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
@@ -105,6 +106,9 @@ def step(
         trails=trails,
     )
     born = find_births(state, label, free, points, frame.time_us, p)
+    apart, abreast = splitting.part(state.tracks, window, frame.time_us, p.splitting)
+    if apart is not state.tracks:
+        state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
     tracks = start(state, bank, born, frame.time_us, p)
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
