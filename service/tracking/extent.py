@@ -73,7 +73,7 @@ class ExtentParameters:
     scatter_gain: float = 0.05  # the same, of how far its points scatter across
     drift_free: float = 0.5  # running mean, in standard deviations, at which the binding is halved
     # the direction in which all others drive measures a heading, too
-    road_std_rad: float = 0.1  # of a vehicle about it ...
+    road_std_rad: float = 0.05  # of a vehicle about it ...
     road_memory_frames: float = 5.0  # ... which says the same for so many frames
     road_gate_rad: float = 0.6  # a vehicle further off turns, or its heading is no more than a guess
     # the row of points along the side that the radar sees measures a heading, too

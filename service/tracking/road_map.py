@@ -33,6 +33,7 @@ class RoadMapParameters:
     chord_error_rad: float = (
         0.4  # a track that goes elsewhere than its box points has taken over another vehicle
     )
+    half_turn_rad: float = 0.1  # within two cells; of a sharper turn (20 m) no cell has one direction
     arc_half_turn_rad: float = 0.6  # a sharper turn is no arc of one circle
     driven_tracks: float = 2.0  # tracks through a cell that make it driven
     one_way_agreement: float = 0.97  # length of the mean direction: all within some 15 degrees

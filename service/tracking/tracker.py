@@ -362,10 +362,12 @@ def _teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:
     teach &= np.cos(chord_rad - t.heading_rad) > math.cos(
         p.road.chord_error_rad
     )  # not where there is no chord
+    between = last - before
+    turn_rad = chord_rad - np.arctan2(between[:, 0], between[:, 1])
+    teach &= np.cos(turn_rad) > math.cos(p.road.half_turn_rad)
     way = np.where((came | np.isnan(last[:, 0]))[:, None], np.concatenate([last, here], axis=1), t.way_m)
     cell, road = t.map_cell, state.road
     if teach.any():
-        between = last - before
         half_way = np.column_stack([0.5 * (before + last), np.arctan2(between[:, 0], between[:, 1])])
         there = np.column_stack([last, chord_rad])
         new = np.flatnonzero(teach & (cell < 0) & ~t.standing)

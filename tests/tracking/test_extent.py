@@ -237,7 +237,7 @@ def test_points_that_tell_no_direction_turn_no_box(heading_rad, row, hit):
 def test_sideways_motion_is_bound_loosely_off_the_direction_of_the_road():
     track = one_track(vx=1.0, vy=8.0, speed_var=1.0)
 
-    along, off = learn(track, one_way=True, road_rad=0.2), learn(track, one_way=True, road_rad=1.5)
+    along, off = learn(track, one_way=True, road_rad=0.05), learn(track, one_way=True, road_rad=1.5)
 
     assert abs(along.mean[0, 1]) + 0.1 < abs(off.mean[0, 1])
 
@@ -333,15 +333,14 @@ def test_no_arc_is_drawn_through_a_corner_or_a_step():
     assert not len(road_map.arc(np.zeros(2), np.array([20.0, 20.0]), math.pi / 2 + 0.1, p))
 
 
-def test_the_road_is_taught_the_way_of_a_track_and_not_its_heading():
-    p, radius, speed = TrackerParameters(), 200.0, 20.0
+def taught_along_a_circle(radius_m, speed_mps, lag_rad, p):
+    """Return the state after eight seconds of a track that turns right, its heading behind by `lag_rad`."""
     state = tracker.initial_state(p)
-    for k in range(160):  # eight seconds along a circle to the right, the heading 0.06 rad behind
-        turned = speed * DT_S * k / radius
-        x, y = radius * (1.0 - math.cos(turned)), 20.0 + radius * math.sin(turned)
-        track = one_track(
-            x=x, y=y, heading_rad=turned - 0.06, vx=speed * math.sin(turned), vy=speed * math.cos(turned)
-        )
+    for k in range(160):
+        turned = speed_mps * DT_S * k / radius_m
+        x, y = radius_m * (1.0 - math.cos(turned)), 20.0 + radius_m * math.sin(turned)
+        vx, vy = speed_mps * math.sin(turned), speed_mps * math.cos(turned)
+        track = one_track(x=x, y=y, heading_rad=turned - lag_rad, vx=vx, vy=vy)
         kept = {"map_cell": state.tracks.map_cell, "way_m": state.tracks.way_m}
         if k == 0:
             kept = {"map_cell": np.array([-1]), "way_m": np.full((1, 4), np.nan)}
@@ -349,6 +348,19 @@ def test_the_road_is_taught_the_way_of_a_track_and_not_its_heading():
             status=np.array([int(TrackStatus.CONFIRMED)], np.uint8), born_y_m=np.array([20.0]), **kept
         )
         state = tracker._teach_road(dataclasses.replace(state, tracks=track, frames=k), p)
+    return state
+
+
+def test_a_sharp_turn_is_not_taught_as_if_it_had_one_direction():
+    p = TrackerParameters()
+
+    assert taught_along_a_circle(40.0, 8.0, 0.0, p).road.tracks.sum() > 5.0
+    assert not taught_along_a_circle(12.0, 6.0, 0.0, p).road.tracks.any()
+
+
+def test_the_road_is_taught_the_way_of_a_track_and_not_its_heading():
+    p, radius = TrackerParameters(), 200.0
+    state = taught_along_a_circle(radius, 20.0, 0.06, p)
 
     angle = np.linspace(0.05, 0.7, 60)
     x, y = radius * (1.0 - np.cos(angle)), 20.0 + radius * np.sin(angle)
