@@ -246,7 +246,7 @@ def test_belief_propagation_stays_near_the_exact_marginals(clutter_per_m2, detec
             exact, approximate = marginals(*cluster), marginals(*cluster, max_width=0)
             assert (exact.approximated, approximate.approximated) == (0, 1)
             worst = max(worst, np.abs(table(exact) - table(approximate)).max())
-    record_property("worst_error", worst)
+    record_property("worst_error", float(worst))
 
     assert worst <= bound
 
