@@ -25,6 +25,7 @@ class SplittingParameters:
         1.8  # mean square of normalised places across the box, 1 for one vehicle, that raises doubt
     )
     min_hits: int = 15
+    every_hits: int = 10  # a doubt that groups did not confirm is looked at again so much later
     speed_min_mps: float = 4.0
     apart_m: float = 2.4  # between the centres of the groups, each on its own side of the box ...
     aside_m: float = 0.7
@@ -43,7 +44,8 @@ def doubtful(tracks: Tracks, p: SplittingParameters) -> I64:
     if not (tracks.scatter > p.scatter).any():
         return np.empty(0, dtype=np.int64)  # nearly always
     end_on = np.abs(np.cos(tracks.heading_rad - np.arctan2(tracks.x_m, tracks.y_m))) > math.cos(0.45)
-    doubt = tracks.confirmed & (tracks.scatter > p.scatter) & (tracks.hits >= p.min_hits) & end_on
+    due = (tracks.hits >= p.min_hits) & (tracks.hits % p.every_hits == 0)
+    doubt = tracks.confirmed & (tracks.scatter > p.scatter) & due & end_on
     return np.flatnonzero(doubt & (tracks.speed_mps > p.speed_min_mps))
 
 
@@ -82,12 +84,15 @@ def _two_groups(
     age_s, q = (time_us - window.time_us) / 1e6, window.points
     dx = q[:, PX] + age_s * tracks.mean[i, 1] - tracks.x_m[i]
     dy = q[:, PY] + age_s * tracks.mean[i, 4] - tracks.y_m[i]
+    along_m = 0.5 * tracks.length_m[i] + p.ahead_m
+    near = np.flatnonzero(dx * dx + dy * dy < along_m**2 + p.across_m**2)
+    q, dx, dy = q[near], dx[near], dy[near]
     s, c = math.sin(tracks.heading_rad[i]), math.cos(tracks.heading_rad[i])
     u, w = s * dx + c * dy, c * dx - s * dy
     rate = q[:, PV] - (tracks.mean[i, 1] * q[:, PX] + tracks.mean[i, 4] * q[:, PY]) / np.maximum(
         q[:, PG], 1.0
     )
-    mine: Bool = (np.abs(u) < 0.5 * tracks.length_m[i] + p.ahead_m) & (np.abs(w) < p.across_m)
+    mine: Bool = (np.abs(u) < along_m) & (np.abs(w) < p.across_m)
     mine &= np.abs(rate) < p.like_mps
     if mine.sum() < 2 * p.group_points:
         return None

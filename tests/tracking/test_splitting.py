@@ -78,6 +78,7 @@ def test_a_box_between_two_vehicles_becomes_two():
     [
         (cars(0.0), window_of(0.0, 0.0)),  # one vehicle
         (cars(0.0, scatter=1.0), window_of(-1.8, 1.8)),  # no doubt has arisen
+        (cars(0.0, hits=59), window_of(-1.8, 1.8)),  # it is looked at each half second
         (cars(0.0, hits=5), window_of(-1.8, 1.8)),  # nor has it had time to
         (cars(-1.8), window_of(-1.8, 1.8)),  # the box is one vehicle's, the other is beside it
         (cars(0.0), window_of(-1.8, 1.8, rate_mps=SPEED_MPS - 2.0)),  # they are others
