@@ -16,6 +16,8 @@ from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.model import F64, I64, Bool
 from service.tracking.state import Tracks, Window
 
+_END_ON_COS = math.cos(0.45)  # seen further from the side, points across a box tell of its length
+
 
 @dataclass(frozen=True, slots=True)
 class SplittingParameters:
@@ -43,14 +45,20 @@ def doubtful(tracks: Tracks, p: SplittingParameters) -> I64:
     """Return which moving confirmed tracks (K,) seen end-on have points that scatter too much across them."""
     if not (tracks.scatter > p.scatter).any():
         return np.empty(0, dtype=np.int64)  # nearly always
-    end_on = np.abs(np.cos(tracks.heading_rad - np.arctan2(tracks.x_m, tracks.y_m))) > math.cos(0.45)
+    end_on = np.abs(np.cos(tracks.heading_rad - np.arctan2(tracks.x_m, tracks.y_m))) > _END_ON_COS
     due = (tracks.hits >= p.min_hits) & (tracks.hits % p.every_hits == 0)
     doubt = tracks.confirmed & (tracks.scatter > p.scatter) & due & end_on
     return np.flatnonzero(doubt & (tracks.speed_mps > p.speed_min_mps))
 
 
-def part(tracks: Tracks, window: Window, time_us: int, p: SplittingParameters) -> tuple[Tracks, list[F64]]:
-    """Return the tracks, those of two vehicles moved to one of them, and rows of Births for the others."""
+def part(
+    tracks: Tracks, window: Window, time_us: int, p: SplittingParameters, *, length_m: float
+) -> tuple[Tracks, list[F64]]:
+    """Return the tracks, those of two vehicles moved to one of them, and rows of Births for the others.
+
+    window: the points of the last frames; length_m: of a new vehicle of which nothing is known yet. A row
+    has the columns that `births.gather` takes.
+    """
     rows: list[F64] = []
     found = doubtful(tracks, p)
     if not len(found):
@@ -72,7 +80,7 @@ def part(tracks: Tracks, window: Window, time_us: int, p: SplittingParameters) -
             continue
         rows.append(np.array([
             x, y, tracks.heading_rad[i], mean[i, 1], mean[i, 4], p.position_std_m, p.position_std_m,
-            p.speed_std_mps, p.speed_std_mps, 1.0, 0.0, 4.4, 0.0, max(tracks.heading_var[i], 0.01),
+            p.speed_std_mps, p.speed_std_mps, 1.0, 0.0, length_m, 0.0, max(tracks.heading_var[i], 0.01),
         ]))  # fmt: skip
     return (tracks.but(mean=mean, cov=cov, scatter=scatter) if any_parted else tracks), rows
 

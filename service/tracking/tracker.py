@@ -106,7 +106,9 @@ def step(
         trails=trails,
     )
     born = find_births(state, label, free, points, frame.time_us, p)
-    apart, abreast = splitting.part(state.tracks, window, frame.time_us, p.splitting)
+    apart, abreast = splitting.part(
+        state.tracks, window, frame.time_us, p.splitting, length_m=p.birth.length_m
+    )
     if apart is not state.tracks:
         state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
     tracks = start(state, bank, born, frame.time_us, p)

@@ -62,7 +62,7 @@ def window_of(*x_m, points=6, noise_m=1.0, rate_mps=SPEED_MPS, seed=4):
 def test_a_box_between_two_vehicles_becomes_two():
     tracks = cars(0.0)
 
-    apart, rows = splitting.part(tracks, window_of(-1.8, 1.8), NOW_US, SplittingParameters())
+    apart, rows = splitting.part(tracks, window_of(-1.8, 1.8), NOW_US, SplittingParameters(), length_m=4.4)
     born = births.gather(rows)
 
     assert sorted([apart.x_m[0], born.x_m[0]]) == pytest.approx([-1.8, 1.8], abs=0.6)
@@ -85,7 +85,7 @@ def test_a_box_between_two_vehicles_becomes_two():
     ],
 )
 def test_other_boxes_stay_whole(tracks, window):
-    apart, rows = splitting.part(tracks, window, NOW_US, SplittingParameters())
+    apart, rows = splitting.part(tracks, window, NOW_US, SplittingParameters(), length_m=4.4)
 
     assert apart is tracks
     assert rows == []
@@ -94,7 +94,9 @@ def test_other_boxes_stay_whole(tracks, window):
 def test_a_box_leaves_a_vehicle_that_has_a_track_of_its_own():
     tracks = cars(0.0, 2.2)
 
-    apart, rows = splitting.part(tracks, window_of(-1.8, -1.8, 1.8), NOW_US, SplittingParameters())
+    apart, rows = splitting.part(
+        tracks, window_of(-1.8, -1.8, 1.8), NOW_US, SplittingParameters(), length_m=4.4
+    )
 
     assert rows == []
     assert apart.x_m[0] == pytest.approx(-1.8, abs=0.6)
