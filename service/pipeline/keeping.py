@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping
 
 import structlog
 from sqlalchemy import Engine
 
-from service.errors import WaysideError
+from service.pipeline.periodic import Periodic
 from service.settings import Settings
 from service.storage.database import connection as reading
 from service.storage.oldest import oldest_rows
@@ -40,8 +39,7 @@ class Keeping:
         self._retention = retention_of(settings)
         self._interval_s = settings.upkeep_interval_s
         self._clock_us = clock_us
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="wayside-upkeep", daemon=True)
+        self._thread = Periodic("upkeep", min(LOOK_S, self._interval_s), self._look)
         self._kept_up_s: float | None = None  # monotonic
         self.oldest_us: Mapping[
             str, int
@@ -53,20 +51,12 @@ class Keeping:
 
     def stop(self) -> None:
         """End after the transaction that runs."""
-        self._stopped.set()
-        if self._thread.ident is not None:
-            self._thread.join()
+        self._thread.stop()
 
-    def _run(self) -> None:
-        while True:
-            try:
-                self._keep_up_if_due()
-                with reading(self._database) as connection:
-                    self.oldest_us = oldest_rows(connection)
-            except WaysideError as error:
-                _log.warning("upkeep put off", reason=str(error))
-            if self._stopped.wait(min(LOOK_S, self._interval_s)):
-                return
+    def _look(self) -> None:
+        self._keep_up_if_due()
+        with reading(self._database) as connection:
+            self.oldest_us = oldest_rows(connection)
 
     def _keep_up_if_due(self) -> None:
         now_s = time.monotonic()

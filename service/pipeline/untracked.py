@@ -23,11 +23,12 @@ from typing import Protocol
 
 import structlog
 
-from service.errors import Conflict, Unavailable, WaysideError
+from service.errors import Conflict, Unavailable
 from service.formats.sensor import SensorConfig
 from service.pipeline.blame import BlameBook
 from service.pipeline.channel import Doorway, Standing
 from service.pipeline.order import OrderState
+from service.pipeline.periodic import Periodic
 from service.pipeline.sqlite_log import SqliteLog
 
 LOOK_S = 1.0
@@ -92,8 +93,7 @@ class Untracked:
         self._clock_us = clock_us
         self._tries: dict[str, _Try] = {}
         self._guard = threading.Lock()  # over restarts
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="wayside-untracked", daemon=True)
+        self._thread = Periodic("untracked", LOOK_S, self.look)
 
     def start(self) -> None:
         """Begin to look."""
@@ -101,16 +101,7 @@ class Untracked:
 
     def stop(self) -> None:
         """End."""
-        self._stopped.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stopped.wait(LOOK_S):
-            try:
-                self.look()
-            except WaysideError as error:
-                _log.warning("sensors that failed not looked after", reason=str(error))
+        self._thread.stop()
 
     # ------------------------------------------------------------- what the log and the door ask
 
