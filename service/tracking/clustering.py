@@ -8,7 +8,10 @@ from scipy.spatial import cKDTree
 from service.errors import InvalidInput
 from service.tracking.clustering_kernels import ROUNDING, density_clusters, move_on, scale, split_clusters
 from service.tracking.clustering_parameters import ClusteringParameters
+from service.tracking.kernel import ready
 from service.tracking.model import F64, I64
+
+_NO_ROAD = np.full((1, 2), np.nan)
 
 
 def cluster_window(  # noqa: PLR0913 - columns of the points
@@ -29,6 +32,7 @@ def cluster_window(  # noqa: PLR0913 - columns of the points
     point; 1 is a point of ordinary strength.  road_direction: (2,) unit vector along the road, either way, or
     None.
     """
+    x_m, y_m, radial_velocity_mps = ready(x_m), ready(y_m), ready(radial_velocity_mps)
     x_m, y_m = compensate(x_m, y_m, radial_velocity_mps, age_s, road_direction, parameters)
     along_m, across_m = road_axes(x_m, y_m, road_direction)
     range_m = np.hypot(x_m, y_m)
@@ -50,11 +54,13 @@ def compensate(  # noqa: PLR0913, PLR0917 - columns of the points
     With a road direction, (2,) or one for each point (N, 2), the point moves along the road at the speed
     whose radial part is its Doppler; without, along its line of sight.
     """
-    x, y, speed, age = (_column(c) for c in (x_m, y_m, radial_velocity_mps, age_s))
-    moved_x, moved_y = np.empty_like(x), np.empty_like(y)
-    road = np.full((1, 2), np.nan) if road_direction is None else _column(road_direction).reshape(-1, 2)
-    move_on(x, y, speed, age, road, float(parameters.compensation_min_cosine), moved_x, moved_y)
-    return moved_x, moved_y
+    moved = np.empty((2, len(x_m)))
+    road = _NO_ROAD if road_direction is None else ready(road_direction).reshape(-1, 2)
+    move_on(
+        ready(x_m), ready(y_m), ready(radial_velocity_mps), ready(age_s), road,
+        float(parameters.compensation_min_cosine), moved,
+    )  # fmt: skip
+    return moved[0], moved[1]
 
 
 def road_axes(x_m: F64, y_m: F64, road_direction: F64 | None) -> tuple[F64, F64]:
@@ -81,10 +87,10 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
     one; where nobody has one, Doppler separates nothing and the along radius is the middle of its limits.
     """
     p = parameters
-    doppler = _column(radial_velocity_mps)
+    doppler = ready(radial_velocity_mps)
     known = np.isfinite(doppler)
     all_known = bool(known.all())
-    if known.any():
+    if len(known) and (all_known or known.any()):
         speed_mps = _median(np.abs(doppler if all_known else doppler[known]))
         eps_along_m = p.eps_along_offset_m + p.eps_along_slope_s * speed_mps
         eps_along_m = min(max(eps_along_m, p.eps_along_min_m), p.eps_along_max_m)
@@ -93,27 +99,23 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
     noise_rad = _median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
     scaled = np.empty((len(doppler), 4))
     scale(
-        _column(along_m), _column(across_m), _column(range_m), doppler, _column(age_s),
+        ready(along_m), ready(across_m), ready(range_m), doppler, ready(age_s),
         (float(eps_along_m), float(p.eps_along_growth_per_m), float(p.eps_across_m),
          float(p.eps_across_noise * noise_rad), float(p.eps_doppler_mps), float(p.eps_age_s)),
         scaled,
     )  # fmt: skip
-    if known.any() and not all_known:
+    if not all_known and known.any():
         rest = [0, 1, 3]
         nearest = cKDTree(scaled[known][:, rest]).query(scaled[~known][:, rest])[1]
         scaled[~known, 2] = scaled[known, 2][nearest]
     return scaled
 
 
-def _column(values: F64) -> F64:
-    """Return an array of its own for the kernels, which compile anew for other types and layouts."""
-    return np.array(values, np.float64, order="C")
-
-
 def _median(values: F64) -> float:
-    """Return the median of finite values; numpy's own costs ten times the sort in checks."""
-    ordered = np.sort(values)
-    return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+    """Return the median of finite values; numpy's own costs ten times as much in checks."""
+    low, high = (len(values) - 1) // 2, len(values) // 2
+    ordered = np.partition(values, (low, high))
+    return 0.5 * float(ordered[low] + ordered[high])
 
 
 def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "numba") -> I64:
@@ -124,8 +126,7 @@ def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "num
     nearest core point's cluster (with the engine "scikit-learn" any that it touches), so that the order of
     the points changes the numbers only.
     """
-    # Copies: a kernel compiles anew for read-only and for strided arrays.
-    features, weights = np.array(features, np.float64, order="C"), np.array(weights, np.float64, order="C")
+    features, weights = ready(features), ready(weights)
     if features.shape != (len(weights), 4) or not np.isfinite(features).all():
         raise InvalidInput.at("/features", f"want (N, 4) finite numbers for {len(weights)} weights")
     if engine == "scikit-learn":
@@ -169,8 +170,8 @@ def split_lateral(
     width_variance_m2 = p.split_width_m**2 / 12  # of points spread evenly over the width
     split_clusters(
         labels,
-        np.array(across_m, np.float64, order="C"),
-        np.array((range_m * azimuth_std_rad) ** 2 + width_variance_m2, np.float64, order="C"),
+        ready(across_m),
+        ready((range_m * azimuth_std_rad) ** 2 + width_variance_m2),
         np.array(limits, np.float64),
         int(p.split_min_points),
         int(p.split_rounds),

@@ -17,10 +17,8 @@ ROUNDING = 1e-9  # relative; a sum of weights that should just reach the limit c
 
 
 @kernel
-def move_on(
-    x: F64, y: F64, speed: F64, age: F64, road: F64, min_cosine: float, moved_x: F64, moved_y: F64
-) -> None:
-    """Write where points (N,) are at age 0; `clustering.compensate`. road: (1, 2) or (N, 2), NaN for none."""
+def move_on(x: F64, y: F64, speed: F64, age: F64, road: F64, min_cosine: float, moved: F64) -> None:
+    """Write x and y (2, N) of points at age 0; `clustering.compensate`. road: (1, 2) or (N, 2), NaN: none."""
     for k in range(len(x)):
         r = max(math.hypot(x[k], y[k]), _LEAST)
         direction_x, direction_y = x[k] / r, y[k] / r
@@ -30,7 +28,7 @@ def move_on(
             cosine = direction_x * along_x + direction_y * along_y
             path /= math.copysign(max(abs(cosine), min_cosine), cosine)
             direction_x, direction_y = along_x, along_y
-        moved_x[k], moved_y[k] = x[k] + path * direction_x, y[k] + path * direction_y
+        moved[0, k], moved[1, k] = x[k] + path * direction_x, y[k] + path * direction_y
 
 
 @kernel
@@ -98,10 +96,14 @@ def sort_by_cell(features: F64, order: I64, cell: I64) -> tuple[I64, int]:
 
 @part
 def close_pairs(u: F64, cell: I64, begin: I64, length: int) -> tuple[I64, I64]:
-    """Return (K,) and (K,) all pairs of points within distance 1, from the sorted features u (N, 4)."""
+    """Return (K,) and (K,) all pairs of points within distance 1, from the sorted features u (N, 4).
+
+    Most pairs end at their distance in the plane, the first two features.
+    """
     first, second = np.empty(8 * len(u), np.int64), np.empty(8 * len(u), np.int64)
     found = 0
     for a in range(len(u)):
+        u0, u1, u2, u3 = u[a, 0], u[a, 1], u[a, 2], u[a, 3]
         for row in range(2):  # the rest of the own cell and the next one; three cells of the next row
             start, end = a + 1, begin[cell[a] + 2]
             if row == 1:
@@ -113,9 +115,13 @@ def close_pairs(u: F64, cell: I64, begin: I64, length: int) -> tuple[I64, I64]:
                     more_first[p], more_second[p] = first[p], second[p]
                 first, second = more_first, more_second
             for b in range(start, end):
-                d0, d1, d2, d3 = u[a, 0] - u[b, 0], u[a, 1] - u[b, 1], u[a, 2] - u[b, 2], u[a, 3] - u[b, 3]
+                d0, d1 = u0 - u[b, 0], u1 - u[b, 1]
+                plane = d0 * d0 + d1 * d1
+                if plane > 1.0:
+                    continue
+                d2, d3 = u2 - u[b, 2], u3 - u[b, 3]
                 first[found], second[found] = a, b
-                found += d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 <= 1.0
+                found += plane + d2 * d2 + d3 * d3 <= 1.0
     return first[:found], second[:found]
 
 

@@ -5,10 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar, cast
 
+import numpy as np
 from numba import njit
+
+from service.tracking.model import F64
 
 P = ParamSpec("P")
 R = TypeVar("R")
+_FLOAT = np.dtype(np.float64)
+
+
+def ready(values: F64) -> F64:
+    """Return an array as kernels take it: a copy of other types, read-only and strided ones, else itself.
+
+    For each of those a kernel would be compiled anew.
+    """
+    if values.dtype is _FLOAT and values.flags.carray:
+        return values
+    return np.array(values, np.float64, order="C")
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
