@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
-from service.tracking.model import F64, I64, Bool
+from service.tracking.kernel import kernel
+from service.tracking.model import F64, I64, U8, TrackStatus
 from service.tracking.state import Tracks, Window
 
+_TENTATIVE = int(TrackStatus.TENTATIVE)
 _END_ON_COS = math.cos(0.45)  # seen further from the side, points across a box tell of its length
 
 
@@ -43,12 +45,27 @@ class SplittingParameters:
 
 def doubtful(tracks: Tracks, p: SplittingParameters) -> I64:
     """Return which moving confirmed tracks (K,) seen end-on have points that scatter too much across them."""
-    if not (tracks.scatter > p.scatter).any():
-        return np.empty(0, dtype=np.int64)  # nearly always
-    end_on = np.abs(np.cos(tracks.heading_rad - np.arctan2(tracks.x_m, tracks.y_m))) > _END_ON_COS
-    due = (tracks.hits >= p.min_hits) & (tracks.hits % p.every_hits == 0)
-    doubt = tracks.confirmed & (tracks.scatter > p.scatter) & due & end_on
-    return np.flatnonzero(doubt & (tracks.speed_mps > p.speed_min_mps))
+    return _doubtful(
+        tracks.mean, tracks.heading_rad, tracks.scatter, tracks.hits, tracks.status, p.min_hits, p.every_hits,
+        p.scatter, p.speed_min_mps,
+    )  # fmt: skip
+
+
+@kernel
+def _doubtful(
+    mean: F64, heading: F64, scatter: F64, hits: I64, status: U8, min_hits: int, every_hits: int,
+    most_scatter: float, speed_min: float,
+) -> I64:  # fmt: skip
+    out, found = np.empty(len(hits), np.int64), 0
+    for i in range(len(hits)):
+        if not scatter[i] > most_scatter or status[i] == _TENTATIVE:
+            continue  # nearly always
+        if hits[i] < min_hits or hits[i] % every_hits or math.hypot(mean[i, 1], mean[i, 4]) <= speed_min:
+            continue
+        if abs(math.cos(heading[i] - math.atan2(mean[i, 0], mean[i, 3]))) > _END_ON_COS:
+            out[found] = i
+            found += 1
+    return out[:found]
 
 
 def part(
@@ -89,39 +106,75 @@ def _two_groups(
     tracks: Tracks, i: int, window: Window, time_us: int, p: SplittingParameters
 ) -> tuple[float, float, float] | None:
     """Return how far across lie the group that stays and the other, and how far along the other; or None."""
-    age_s, q = (time_us - window.time_us) / 1e6, window.points
-    dx = q[:, PX] + age_s * tracks.mean[i, 1] - tracks.x_m[i]
-    dy = q[:, PY] + age_s * tracks.mean[i, 4] - tracks.y_m[i]
-    along_m = 0.5 * tracks.length_m[i] + p.ahead_m
-    near = np.flatnonzero(dx * dx + dy * dy < along_m**2 + p.across_m**2)
-    q, dx, dy = q[near], dx[near], dy[near]
-    s, c = math.sin(tracks.heading_rad[i]), math.cos(tracks.heading_rad[i])
-    u, w = s * dx + c * dy, c * dx - s * dy
-    rate = q[:, PV] - (tracks.mean[i, 1] * q[:, PX] + tracks.mean[i, 4] * q[:, PY]) / np.maximum(
-        q[:, PG], 1.0
-    )
-    mine: Bool = (np.abs(u) < along_m) & (np.abs(w) < p.across_m)
-    mine &= np.abs(rate) < p.like_mps
-    if mine.sum() < 2 * p.group_points:
+    length_m = float(tracks.length_m[i])
+    row = _row_across(
+        window.points, window.time_us, time_us, tracks.mean[i], float(tracks.heading_rad[i]),
+        0.5 * length_m + p.ahead_m, p.across_m, p.like_mps, (0.25 * float(tracks.width_m[i])) ** 2,
+    )  # fmt: skip
+    cut, low, high, further = _best_cut(row, p.group_points, p.group_noise)
+    if cut < 0 or high - low < p.apart_m or low > -p.aside_m or high < p.aside_m:
         return None
-    order = np.argsort(w[mine], kind="stable")
-    w, u = w[mine][order], u[mine][order]
-    variance = (q[mine, PG] ** 2 * q[mine, PVAR_AZ])[order] + (0.25 * tracks.width_m[i]) ** 2
-    n = len(w)
-    k = np.arange(p.group_points, n - p.group_points + 1)
-    left = np.cumsum(w)[k - 1] / k
-    right = (w.sum() - np.cumsum(w)[k - 1]) / (n - k)
-    best = int(np.argmax(k * (n - k) * (right - left) ** 2))
-    cut, a, b = int(k[best]), float(left[best]), float(right[best])
-    if b - a < p.apart_m or a > -p.aside_m or b < p.aside_m:
-        return None
-    if max(np.var(w[:cut]) / variance[:cut].mean(), np.var(w[cut:]) / variance[cut:].mean()) > p.group_noise:
-        return None
-    return (
-        (a, b, float(u[cut:].mean() - u[:cut].mean()))
-        if cut >= n - cut
-        else (b, a, float(u[:cut].mean() - u[cut:].mean()))
-    )
+    return (low, high, further) if 2 * cut >= row.shape[1] else (high, low, -further)
+
+
+@kernel
+def _row_across(
+    points: F64, point_time_us: I64, time_us: int, mean: F64, heading: float, along_m: float, across_m: float,
+    like_mps: float, width_var_m2: float,
+) -> F64:  # fmt: skip
+    """Return (3, M) how far across and along a box its points of a window lie, and their variance across.
+
+    They are sorted by their place across. A point belongs to the box when it lies there once it has moved on
+    with it, and has its range rate.
+    """
+    row, count = np.empty((3, len(points))), 0
+    s, c = math.sin(heading), math.cos(heading)
+    for k in range(len(points)):
+        q, age_s = points[k], (time_us - point_time_us[k]) / 1e6
+        dx, dy = q[PX] + age_s * mean[1] - mean[0], q[PY] + age_s * mean[4] - mean[3]
+        u, w = s * dx + c * dy, c * dx - s * dy
+        rate = q[PV] - (mean[1] * q[PX] + mean[4] * q[PY]) / max(q[PG], 1.0)
+        if not (abs(u) < along_m and abs(w) < across_m and abs(rate) < like_mps):
+            continue
+        at = count
+        while at > 0 and row[0, at - 1] > w:
+            row[0, at], row[1, at], row[2, at] = row[0, at - 1], row[1, at - 1], row[2, at - 1]
+            at -= 1
+        row[0, at], row[1, at], row[2, at] = w, u, q[PG] * q[PG] * q[PVAR_AZ] + width_var_m2
+        count += 1
+    return row[:, :count].copy()
+
+
+@kernel
+def _best_cut(row: F64, fewest: int, most_noise: float) -> tuple[int, float, float, float]:
+    """Return how many points of a row are left of its best cut, -1 where it falls into no two groups.
+
+    Then the middle of either group across, and how much further along the right one lies. The cut explains
+    most of the variance; each group must be no wider than the points of one vehicle.
+    """
+    n, cut, best, left, total = row.shape[1], -1, -1.0, 0.0, 0.0
+    for k in range(n):
+        total += row[0, k]
+    for k in range(1, n - fewest + 1):
+        left += row[0, k - 1]
+        between = k * (n - k) * ((total - left) / (n - k) - left / k) ** 2
+        if k >= fewest and between > best:
+            best, cut = between, k
+    middle = np.zeros((2, 2))  # group; across, along
+    for group in range(2):
+        if cut < 0:
+            break
+        begin, end = (0, cut) if group == 0 else (cut, n)
+        spread = noise = 0.0
+        for k in range(begin, end):
+            middle[group, 0] += row[0, k] / (end - begin)
+            middle[group, 1] += row[1, k] / (end - begin)
+            noise += row[2, k]
+        for k in range(begin, end):
+            spread += (row[0, k] - middle[group, 0]) ** 2
+        if spread > most_noise * noise:
+            cut = -1
+    return cut, middle[0, 0], middle[1, 0], middle[1, 1] - middle[0, 1]
 
 
 def _taken(tracks: Tracks, i: int, x: float, y: float, across_m: float) -> bool:
