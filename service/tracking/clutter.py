@@ -62,20 +62,40 @@ def cell_of(points: F64, k: int, cells: tuple[float, ...]) -> tuple[int, int]:
     return math.floor(points[k, PG] / cell_range), math.floor((azimuth + azimuth_max) / cell_azimuth)
 
 
-@kernel
-def _look_up(occupancy: F32, points: F64, cells: tuple[float, ...]) -> F64:
+@part
+def look_up(occupancy: F32, points: F64, k: int, cells: tuple[float, ...]) -> float:
+    """Return the largest occupancy in the 3 x 3 cells around a point."""
     rows, columns = occupancy.shape
-    out = np.zeros(len(points))
+    i, j = cell_of(points, k, cells)
+    best = 0.0
+    if i < 0 or j < 0 or i >= rows or j >= columns:
+        return best
+    for a in range(max(i - 1, 0), min(i + 2, rows)):
+        for b in range(max(j - 1, 0), min(j + 2, columns)):
+            best = max(best, occupancy[a, b])
+    return best
+
+
+@kernel
+def _occupancy_at(occupancy: F32, points: F64, cells: tuple[float, ...]) -> F64:
+    out = np.empty(len(points))
     for k in range(len(points)):
-        i, j = cell_of(points, k, cells)
-        if i < 0 or j < 0 or i >= rows or j >= columns:
-            continue
-        best = 0.0
-        for a in range(max(i - 1, 0), min(i + 2, rows)):
-            for b in range(max(j - 1, 0), min(j + 2, columns)):
-                best = max(best, occupancy[a, b])
-        out[k] = best
+        out[k] = look_up(occupancy, points, k, cells)
     return out
+
+
+@kernel
+def _sort(
+    occupancy: F32, points: F64, cells: tuple[float, ...], limits: tuple[float, float, float, float],
+    sorted_out: Bool,
+) -> None:  # fmt: skip
+    standing_mps, slow_mps, ignored, no_birth = limits
+    for k in range(len(points)):
+        speed = abs(points[k, PV])  # not slow where it is unknown: a comparison with NaN is false
+        here = look_up(occupancy, points, k, cells)
+        sorted_out[1, k] = speed < standing_mps
+        sorted_out[0, k] = not (sorted_out[1, k] and here > ignored)
+        sorted_out[2, k] = speed < slow_mps and here > no_birth
 
 
 @kernel
@@ -119,7 +139,15 @@ def _cells(p: ClutterParameters) -> tuple[float, ...]:
 
 def occupancy_at(clutter: ClutterMap, points: F64, parameters: ClutterParameters) -> F64:
     """Return the largest occupancy (N,) in the 3 x 3 cells around each point (N, POINT_COLUMNS)."""
-    return _look_up(clutter.occupancy, points, _cells(parameters))
+    return _occupancy_at(clutter.occupancy, points, _cells(parameters))
+
+
+def sort_points(clutter: ClutterMap, points: F64, parameters: ClutterParameters) -> tuple[Bool, Bool, Bool]:
+    """Return which points (N,) are usable, which stand, and which may start nothing."""
+    p, found = parameters, np.empty((3, len(points)), dtype=np.bool_)
+    limits = (p.standing_mps, p.slow_mps, p.ignore_occupancy, p.no_birth_occupancy)
+    _sort(clutter.occupancy, points, _cells(p), limits, found)
+    return found[0], found[1], found[2]
 
 
 def learn(clutter: ClutterMap, points: F64, free: Bool, parameters: ClutterParameters) -> ClutterMap:

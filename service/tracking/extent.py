@@ -155,13 +155,21 @@ def turn_on(tracks: Tracks, mean: F64, dt_s: float, p: ExtentParameters) -> tupl
     """Return predicted tracks and means (T, 6) whose headings, velocities and accelerations turn on."""
     if not len(tracks):
         return tracks, mean
-    rate = tracks.turn_rate_radps * math.exp(-dt_s / p.turn_rate_decay_s)
-    angle = rate * dt_s
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    out, right, ahead = mean.copy(), mean[:, 1:3], mean[:, 4:6]  # velocity and acceleration
-    out[:, 1:3], out[:, 4:6] = c * right + s * ahead, c * ahead - s * right
-    heading = tracks.heading_rad + angle
+    out, heading, rate = mean.copy(), tracks.heading_rad.copy(), tracks.turn_rate_radps.copy()
+    _turn_on(out, heading, rate, dt_s, math.exp(-dt_s / p.turn_rate_decay_s))
     return tracks.but(heading_rad=heading, turn_rate_radps=rate), out
+
+
+@kernel
+def _turn_on(mean: F64, heading: F64, turn_rate: F64, dt_s: float, decay: float) -> None:
+    for i in range(len(heading)):
+        turn_rate[i] *= decay
+        angle = turn_rate[i] * dt_s
+        heading[i] += angle
+        c, s = math.cos(angle), math.sin(angle)
+        for k in (1, 2):  # velocity and acceleration
+            right, ahead = mean[i, k], mean[i, k + 3]
+            mean[i, k], mean[i, k + 3] = c * right + s * ahead, c * ahead - s * right
 
 
 @kernel

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, part, ready
 from service.tracking.model import F64, I64, Bool
 
 
@@ -65,24 +65,66 @@ def cell_of(x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[I64, I64, Bool]:
     return np.minimum(np.maximum(i, 0), n_x - 1), np.minimum(np.maximum(j, 0), n_y - 1), inside
 
 
-def cell_number(x_m: F64, y_m: F64, p: RoadMapParameters) -> I64:
-    """Return a number for the cell of each place, -1 off the grid or where it is NaN."""
-    known = np.isfinite(x_m) & np.isfinite(y_m)
-    i, j, inside = cell_of(np.where(known, x_m, 0.0), np.where(known, y_m, 0.0), p)
-    return np.asarray(np.where(inside & known, i * 100_000 + j, -1))
-
-
 def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: RoadMapParameters) -> RoadMap:
     """Return the map after tracks entered new cells; `first`: how many of them had taught nothing before."""
     if len(x_m) == 0:
         return road
-    i, j, inside = cell_of(x_m, y_m, p)
     tracks, sine, cosine = road.tracks.copy(), road.sine.copy(), road.cosine.copy()
-    where = (i[inside], j[inside])
-    np.add.at(tracks, where, 1.0)
-    np.add.at(sine, where, np.sin(heading_rad[inside]))
-    np.add.at(cosine, where, np.cos(heading_rad[inside]))
+    _teach(tracks, sine, cosine, ready(x_m), ready(y_m), ready(heading_rad), _grid(p))
     return RoadMap(tracks, sine, cosine, road.teachers + first)
+
+
+def _grid(p: RoadMapParameters) -> tuple[float, float, float]:
+    """Return where the grid begins and how large its cells are, as the kernels take it."""
+    return p.reach_x_m, p.cell_x_m, p.cell_y_m
+
+
+@part
+def cell_at(x_m: float, y_m: float, where: tuple[float, ...]) -> tuple[int, int]:
+    """Return the cell of a place, which may lie off the grid."""
+    reach_x, cell_x, cell_y = where
+    return math.floor((x_m + reach_x) / cell_x), math.floor(y_m / cell_y)
+
+
+def fresh_places(places: F64, teach: Bool, cell: I64, road: RoadMap, p: RoadMapParameters) -> F64:
+    """Return the places (K, 3) of teaching tracks, in cells other than the one each of them taught last.
+
+    places (2, T, 3): x, y and direction of two places of each track; teach (T,) who teaches; cell (T,) the
+    number of the last cell, -1 for none, brought up to date in place.
+    """
+    rows, columns = road.tracks.shape
+    return _fresh_places(places, teach, cell, rows, columns, _grid(p))
+
+
+@kernel
+def _fresh_places(
+    places: F64, teach: Bool, cell: I64, rows: int, columns: int, where: tuple[float, ...]
+) -> F64:
+    out, found = np.empty((2 * len(cell), 3)), 0
+    for which in range(2):
+        for i in range(len(cell)):
+            if not teach[i]:
+                continue
+            a, b = cell_at(places[which, i, 0], places[which, i, 1], where)
+            if not (0 <= a < rows and 0 <= b < columns) or a * 100_000 + b == cell[i]:
+                continue
+            cell[i] = a * 100_000 + b
+            for c in range(3):
+                out[found, c] = places[which, i, c]
+            found += 1
+    return out[:found]
+
+
+@kernel
+def _teach(
+    tracks: F64, sine: F64, cosine: F64, x_m: F64, y_m: F64, heading: F64, where: tuple[float, ...]
+) -> None:
+    for k in range(len(x_m)):
+        i, j = cell_at(x_m[k], y_m[k], where)
+        if 0 <= i < tracks.shape[0] and 0 <= j < tracks.shape[1]:
+            tracks[i, j] += 1.0
+            sine[i, j] += math.sin(heading[k])
+            cosine[i, j] += math.cos(heading[k])
 
 
 def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
@@ -119,8 +161,7 @@ def driven_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[
 
     Agreement is the length of the mean unit vector, 1 where all drove the same way, 0 where nobody drove.
     """
-    where = (p.reach_x_m, p.cell_x_m, p.cell_y_m)
-    return _driven_at(road.tracks, road.sine, road.cosine, np.array(x_m), np.array(y_m), where)
+    return _driven_at(road.tracks, road.sine, road.cosine, ready(x_m), ready(y_m), _grid(p))
 
 
 def one_way_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[Bool, F64]:
@@ -133,10 +174,9 @@ def one_way_at(road: RoadMap, x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple
 def _driven_at(
     tracks: F64, sine: F64, cosine: F64, x_m: F64, y_m: F64, where: tuple[float, ...]
 ) -> tuple[F64, F64, F64]:
-    reach_x, cell_x, cell_y = where
     count, heading, agreement = np.zeros(len(x_m)), np.zeros(len(x_m)), np.zeros(len(x_m))
     for k in range(len(x_m)):
-        i, j = math.floor((x_m[k] + reach_x) / cell_x), math.floor(y_m[k] / cell_y)
+        i, j = cell_at(x_m[k], y_m[k], where)
         if 0 <= i < tracks.shape[0] and 0 <= j < tracks.shape[1] and tracks[i, j] > 0.0:
             count[k] = tracks[i, j]
             heading[k] = math.atan2(sine[i, j], cosine[i, j])

@@ -29,6 +29,7 @@ from service.tracking.recovering import Seen, recover
 from service.tracking.recovery import TrailBook, no_book
 from service.tracking.starting import find_births, start
 from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks
+from service.tracking.teaching import teach_road
 
 _TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
 _NOBODY = np.zeros(1, dtype=np.bool_)  # confirmed is not the owner -1
@@ -75,7 +76,7 @@ def step(
     state = _with_filter(state, bank)
     seen = points = point_array(frame, p.sensor)
     watch("points")
-    usable, standing, no_birth = _sort_points(state, points, p)
+    usable, standing, no_birth = clutter_map.sort_points(state.clutter, points, p.clutter)
     if not usable.all():
         points, standing, no_birth = points[usable], standing[usable], no_birth[usable]
     watch("clutter")
@@ -124,7 +125,7 @@ def step(
         range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
         echo_reference_db=reference, trails=trails,
     )  # fmt: skip
-    state = _teach_road(state, p)
+    state = teach_road(state, p)
     report = StepReport(
         points=len(frame),
         points_static=len(frame) - len(points),
@@ -219,23 +220,13 @@ def _dt_s(state: TrackerState, time_us: int) -> float:
     return min(max(time_us - state.time_us, 0) / 1e6, MAX_STEP_S)
 
 
-def _sort_points(state: TrackerState, points: F64, p: TrackerParameters) -> tuple[Bool, Bool, Bool]:
-    """Return which points (N,) are usable, which stand, and which may start nothing."""
-    speed = np.abs(points[:, PV])  # not slow where it is unknown: a comparison with NaN is false
-    occupancy = clutter_map.occupancy_at(state.clutter, points, p.clutter)
-    standing = speed < p.clutter.standing_mps
-    usable = ~(standing & (occupancy > p.clutter.ignore_occupancy))
-    no_birth = (speed < p.clutter.slow_mps) & (occupancy > p.clutter.no_birth_occupancy)
-    return usable, standing, no_birth
-
-
 def _slide(state: TrackerState, points: F64, standing: Bool, time_us: int, p: TrackerParameters) -> Window:
     """Return the window of the last K frames with this frame's points at its end, not yet owned."""
     times = state.frame_times_us
     back = p.clustering.window_frames - 1
     oldest = times[-back] if 0 < back <= len(times) else (times[0] if times and back else time_us)
     old = state.window
-    first = int(np.searchsorted(old.time_us, oldest))  # oldest first
+    first = int(old.time_us.searchsorted(oldest))  # oldest first
     return Window(
         np.concatenate((old.points[first:], points)),
         np.concatenate((old.time_us[first:], np.full(len(points), time_us))),
@@ -333,7 +324,7 @@ def _slide_standing(
 ) -> Window:
     w = state.standing_window
     oldest_us = time_us - round(p.birth.standing_window_s * 1e6)
-    first = int(np.searchsorted(w.time_us, oldest_us, side="right"))
+    first = int(w.time_us.searchsorted(oldest_us, side="right"))
     new = points[which]
     flags = np.zeros(len(w.time_us) - first + len(new), dtype=np.bool_)
     return Window(
@@ -342,45 +333,3 @@ def _slide_standing(
         flags,
         flags,
     )
-
-
-def _teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:
-    """Return the state with its road map taught by the established moving tracks that came on by a cell.
-
-    A place on a track's way is taught the direction of the chord from the place before it to the one behind
-    it, not the heading of the box: headings lag in curves, and follow the map itself.
-    """
-    if state.frames % p.road.learn_interval_frames:
-        return state
-    t = state.tracks
-    here, before, last = np.column_stack([t.x_m, t.y_m]), t.way_m[:, :2], t.way_m[:, 2:]
-    came = np.hypot(*(here - last).T) >= p.road.cell_y_m
-    if not (came | np.isnan(last[:, 0])).any():
-        return state
-    ahead = here - before
-    chord_rad = np.arctan2(ahead[:, 0], ahead[:, 1])
-    teach = came & (t.status == _CONFIRMED) & (t.hits >= p.road.learn_hits)
-    teach &= t.speed_mps > p.road.learn_speed_mps
-    teach &= np.cos(chord_rad - t.heading_rad) > math.cos(
-        p.road.chord_error_rad
-    )  # not where there is no chord
-    between = last - before
-    turn_rad = chord_rad - np.arctan2(between[:, 0], between[:, 1])
-    teach &= np.cos(turn_rad) > math.cos(p.road.half_turn_rad)
-    way = np.where((came | np.isnan(last[:, 0]))[:, None], np.concatenate([last, here], axis=1), t.way_m)
-    cell, road = t.map_cell, state.road
-    if teach.any():
-        half_way = np.column_stack([0.5 * (before + last), np.arctan2(between[:, 0], between[:, 1])])
-        there = np.column_stack([last, chord_rad])
-        new = np.flatnonzero(teach & (cell < 0) & ~t.standing)
-        born = np.column_stack([t.born_x_m, t.born_y_m])
-        places = [road_map.arc(born[k], last[k], float(chord_rad[k]), p.road) for k in new]
-        first = int((teach & (cell < 0)).sum())
-        for place in (half_way, there):
-            number = road_map.cell_number(place[:, 0], place[:, 1], p.road)
-            fresh = teach & (number >= 0) & (number != cell)
-            places.append(place[fresh])
-            cell = np.where(fresh, number, cell)
-        taught = np.concatenate(places)
-        road = road_map.teach(road, taught[:, 0], taught[:, 1], taught[:, 2], first, p.road)
-    return replace(state, road=road, tracks=t.but(way_m=way, map_cell=cell))

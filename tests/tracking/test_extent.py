@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from service.tracking import births, extent, holding, road_map, tracker
+from service.tracking import births, extent, holding, road_map, teaching, tracker
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
@@ -347,7 +347,7 @@ def taught_along_a_circle(radius_m, speed_mps, lag_rad, p):
         track = track.but(
             status=np.array([int(TrackStatus.CONFIRMED)], np.uint8), born_y_m=np.array([20.0]), **kept
         )
-        state = tracker._teach_road(dataclasses.replace(state, tracks=track, frames=k), p)
+        state = teaching.teach_road(dataclasses.replace(state, tracks=track, frames=k), p)
     return state
 
 
@@ -383,7 +383,7 @@ def test_a_track_that_jumps_to_another_vehicle_teaches_no_way():
         if k:
             kept = {"map_cell": state.tracks.map_cell, "way_m": state.tracks.way_m}
         track = track.but(status=np.array([int(TrackStatus.CONFIRMED)], np.uint8), **kept)
-        state = tracker._teach_road(dataclasses.replace(state, tracks=track, frames=3 * k), p)
+        state = teaching.teach_road(dataclasses.replace(state, tracks=track, frames=3 * k), p)
 
     count, heading_rad, _ = road_map.driven_at(state.road, np.zeros(1), np.array([46.0]), p.road)
 

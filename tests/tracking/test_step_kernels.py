@@ -158,6 +158,26 @@ def test_the_map_learns_lone_standing_points_and_forgets_without_subnormal_numbe
     assert not forgotten.occupancy.any()
 
 
+def test_points_are_sorted_by_speed_and_by_what_the_map_knows():
+    p = ClutterParameters()
+    table = np.zeros((6, 8))
+    table[:, PX], table[:, PY], table[:, PG] = 0.0, np.arange(20.0, 80.0, 10.0), np.arange(20.0, 80.0, 10.0)
+    table[:, PV] = [0.1, -1.0, 9.0, 0.1, 1.0, np.nan]
+    known = clutter_map.empty_map(p).occupancy
+    known[: int(45.0 / p.cell_range_m)] = 0.9  # the first three stand or drive among posts
+
+    usable, standing, no_birth = clutter_map.sort_points(clutter_map.ClutterMap(known), table, p)
+
+    assert usable.tolist() == [False, True, True, True, True, True]
+    assert standing.tolist() == [True, False, False, True, False, False]
+    assert no_birth.tolist() == [True, True, False, False, False, False]
+
+
+def test_a_column_that_tracks_do_not_have_is_refused(rng):
+    with pytest.raises(TypeError, match="hitz"):
+        some_tracks(rng).but(hitz=np.zeros(40))
+
+
 def test_columns_of_tracks_are_exchanged_taken_and_joined(rng):
     t = some_tracks(rng)
 
