@@ -1,4 +1,4 @@
-"""The page of traffic measures in a real browser, before a real server with three recorded minutes."""
+"""The page of traffic measures in a real browser, before a real server with three recorded minutes and a bit."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SENSOR = "counted"
 BEGIN_US = 1_747_029_600_000_000  # 2025-05-12T06:00:00Z
 MINUTES = 3
+RUNNING_S = 6  # of a fourth minute
 RATE_HZ = 10.0
 PATIENCE_S = 90.0  # the kernels may have to be compiled first
 BATCH = 400
@@ -37,7 +38,7 @@ def counted(tmp_path_factory):
         lines = [{"line_id": "C80", "p0": [-12.0, 80.0], "p1": [12.0, 80.0]}]
         sensor = {"sensor_id": SENSOR, "rate_hz": RATE_HZ, "count_lines": lines}
         assert service.post("/sensors", json=sensor).status_code == 201
-        total = round(MINUTES * 60 * RATE_HZ) - 1
+        total = round((MINUTES * 60 + RUNNING_S) * RATE_HZ)
         for first in range(1, total, BATCH):
             batch = [frame(number) for number in range(first, min(first + BATCH, total + 1))]
             reply = service.post(f"/sensors/{SENSOR}/frames:batch", json=batch)
@@ -69,6 +70,22 @@ def test_counts_of_a_recording_are_drawn_and_open_into_their_evidence(counted, v
         expect(dialog).to_contain_text(f"{SENSOR}-1-")
         page.get_by_role("button", name="Close the evidence").click()
         expect(dialog).to_be_hidden()
+
+
+def test_the_minute_that_runs_is_left_out_until_it_ends(counted, visit):
+    with visit(f"{counted.url}/traffic.html", timezone_id="UTC", locale="en-GB") as page:
+        expect(page.locator("#window")).to_contain_text("the interval that has not ended is left out")
+        expect(page.locator("#measures-of")).to_contain_text("06:02:00")
+        coverages = page.locator("#measures tbody td:nth-child(11)").all_inner_texts()
+        assert coverages
+        assert set(coverages) == {"100"}
+
+
+def test_the_interval_that_runs_is_shown_where_none_has_ended(counted, visit):
+    with visit(f"{counted.url}/traffic.html", timezone_id="UTC", locale="en-GB") as page:
+        page.locator("#period").select_option("One week, by hour")
+        expect(page.locator("#measures-of")).to_contain_text("06:00:00")
+        expect(page.locator("#window")).not_to_contain_text("left out")
 
 
 def test_hours_without_frames_are_told_from_hours_with_them(counted, visit):

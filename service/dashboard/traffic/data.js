@@ -76,6 +76,18 @@ export async function readFlow(sensorId, window) {
 }
 
 /**
+ * Return the rows of intervals that have ended, or of the one that runs where there is no other: what was
+ * counted in its first seconds is no rate of flow yet, and reads as if the traffic had stopped.
+ * @param {FlowRow[]} rows
+ * @param {number} newestMs time of the newest frame
+ * @returns {FlowRow[]}
+ */
+export function ended(rows, newestMs) {
+  const over = rows.filter((row) => Date.parse(row.end) <= newestMs || !row.quality.includes("partial"));
+  return over.length > 0 ? over : rows;
+}
+
+/**
  * @param {string} sensorId
  * @param {string} row
  * @returns {Promise<{flow: FlowRow, crossings: Crossing[], tracks: {track_id: string}[], frames: {first: number | null, last: number | null, start: string | null, end: string | null}}>}

@@ -6,7 +6,7 @@ import { Store } from "../state.js";
 import { Chart, columnsOf, inOrder, laneKey } from "./charts.js";
 import { HOUR_MS, showCalendar } from "./calendar.js";
 import { Checks } from "./checks.js";
-import { flowPath, readCoverage, readFlow, readLanes, readNewestMs, readStates } from "./data.js";
+import { ended, flowPath, readCoverage, readFlow, readLanes, readNewestMs, readStates } from "./data.js";
 import { Evidence } from "./evidence.js";
 import { showMeasures } from "./measures.js";
 import { drawDiagram, pathsOf } from "./timespace.js";
@@ -88,9 +88,9 @@ async function refresh() {
       readStates(sensorId, diagram),
     ]);
     if (turn !== asked) return;
-    [rows, lanes, states] = [flow, map, lines];
+    [rows, lanes, states] = [ended(flow, newestMs), map, lines];
     tell("");
-    showWindow(window);
+    showWindow(window, rows.length < flow.length);
     showLines();
     showLanes();
     showFlow(window);
@@ -116,10 +116,14 @@ function tell(text) {
   /** @type {HTMLElement} */ (banner.parentElement).hidden = text === "";
 }
 
-/** @param {import("./data.js").Window} window */
-function showWindow(window) {
+/**
+ * @param {import("./data.js").Window} window
+ * @param {boolean} oneRuns whether an interval that has not ended is left out
+ */
+function showWindow(window, oneRuns) {
   const [from, to] = [window.startMs, window.endMs].map((atMs) => new Date(atMs).toLocaleString());
-  part("window").textContent = `${from} to ${to}, in the time of this browser`;
+  const leftOut = oneRuns ? "; the interval that has not ended is left out" : "";
+  part("window").textContent = `${from} to ${to}, in the time of this browser${leftOut}`;
   const { sensorId } = store.state;
   if (sensorId === null) return;
   const lineId = linePicker.value || null;
