@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from service.errors import InvalidInput
 from service.tracking.association_kernels import INVALID, UNBALANCED, solve
+from service.tracking.kernel import ready
 from service.tracking.model import F64, I64
 
 SAFE_RANGE = 600.0  # natural log; hypotheses that span less cannot underflow (float64 reaches to 708)
@@ -110,5 +111,4 @@ def _checked(log_weight: F64, log_miss: F64) -> tuple[F64, F64]:
         raise InvalidInput.at(
             "/log_weight", f"want (T, M) with log_miss (T,), got {log_weight.shape} and {log_miss.shape}"
         )
-    # Copies: a kernel compiles anew for read-only and for strided arrays.
-    return np.array(log_weight, np.float64, order="C"), np.array(log_miss, np.float64, order="C")
+    return ready(log_weight), ready(log_miss)

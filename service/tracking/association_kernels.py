@@ -366,7 +366,7 @@ def solve(
             if spread > safe_range:
                 return UNBALANCED, 0
             E = list_edges(beta, price, gates, member[:size], power, start, column, weight, idle)
-            width, first, way = 1 << 30, 0, 0
+            width, first, way = 1 << 30, start[0], 0  # a bare 0 is a type of its own to compile for
             for n in range(2):  # the second time from where the first one ended
                 other = order_tracks(start, column, gates, first, orders[n, :size])
                 first = orders[n, size - 1]

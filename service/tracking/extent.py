@@ -116,8 +116,7 @@ def learn(
         (p.wide_from_m, p.wide_m, p.car_width_m, p.narrow_below_m, p.narrow_width_m),
     )  # fmt: skip
     heading_var = tracks.heading_var.copy()
-    turn_rate, drift = tracks.turn_rate_radps.copy(), tracks.drift.copy()
-    scatter = tracks.scatter.copy()
+    turn_rate, drift, scatter = tracks.turn_rate_radps.copy(), tracks.drift.copy(), tracks.scatter.copy()
     loose = _drift(
         mean, cov, heading, measured, hit, drift, scatter, p.scatter_gain, p.drift_gain, p.drift_free,
         p.turn_above_mps,
@@ -131,16 +130,18 @@ def learn(
         mean, heading, heading_var, measured, hit,
         (math.cos(p.row_aspect_rad), p.row_memory_frames, p.row_gate_rad, p.row_bias_rad**2),
     )  # fmt: skip
-    goes = one_way & (np.cos(heading - road_heading) > math.cos(p.one_way_std_rad))
+    goes = np.empty(len(heading), dtype=np.bool_)
+    _goes(heading, one_way, road_heading, math.cos(p.one_way_std_rad), goes)
     _turn(
         mean, cov, heading, heading_var, turn_rate, pivot, dt_s,
         (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
          p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
-    std_mps = np.where(goes, p.sideways_std_mps, p.sideways_free_mps)
-    share = np.where(goes, p.sideways_share, p.sideways_free_share)
-    slow = (p.sideways_full_mps, p.sideways_least)
-    _along_only(mean, cov, heading, heading_var, std_mps, share, loose, slow)
+    _along_only(
+        mean, cov, heading, heading_var, goes, loose,
+        (p.sideways_std_mps, p.sideways_share, p.sideways_free_mps, p.sideways_free_share,
+         p.sideways_full_mps, p.sideways_least),
+    )  # fmt: skip
     _stand_still(
         mean, cov, heading, hit,
         (p.still_range_rate_mps, p.still_speed_mps, p.still_std_mps, p.still_side_on_mps),
@@ -246,6 +247,13 @@ def _follow_road(
 
 
 @kernel
+def _goes(heading: F64, one_way: Bool, road_heading: F64, cosine: float, goes: Bool) -> None:
+    """Write which boxes (T,) point the way that all drive there."""
+    for i in range(len(heading)):
+        goes[i] = one_way[i] and math.cos(heading[i] - road_heading[i]) > cosine
+
+
+@kernel
 def _follow_row(
     mean: F64, heading: F64, heading_var: F64, measured: F64, hit: Bool, limits: tuple[float, ...]
 ) -> None:
@@ -331,21 +339,22 @@ def _turn_box(mean: F64, before: float, change: float, arm: float) -> float:
 
 @kernel
 def _along_only(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, std_mps: F64, share: F64, loose: F64,
-    slow: tuple[float, float],
-) -> None:  # fmt: skip
+    mean: F64, cov: F64, heading: F64, heading_var: F64, goes: Bool, loose: F64, q: tuple[float, ...]
+) -> None:
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
     The less the heading is known, the less it binds: its error turns speed into sideways speed.
     """
-    full, least = slow
+    std_mps, share, free_mps, free_share, full, least = q
     gain, joseph = np.empty(6), np.empty((6, 6))
     for t in range(len(mean)):
         a, b = math.cos(heading[t]), -math.sin(heading[t])  # H = [0 a 0 0 b 0]
         ahead = abs(a * mean[t, 4] - b * mean[t, 1])
         along = mean[t, 1] * mean[t, 1] + mean[t, 4] * mean[t, 4]
         part = min(max(ahead / full, least, 1.0 - 1.0 / loose[t]), 1.0)  # a turning box does not stand
-        std = part * std_mps[t] + share[t] * math.sqrt(along)
+        std = part * (std_mps if goes[t] else free_mps) + (share if goes[t] else free_share) * math.sqrt(
+            along
+        )
         along += cov[t, 1, 1] + cov[t, 4, 4]
         r = std * std * loose[t] + along * heading_var[t]
         _condition(mean[t], cov[t], a, b, r, gain, joseph)

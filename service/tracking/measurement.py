@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from service.tracking.geometry import wrap_angle
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, ready
 from service.tracking.model import F64
 from service.tracking.motion import STATES
 
@@ -39,8 +39,7 @@ def linearise(mean: F64) -> tuple[F64, F64]:
     With the unit vector u = (x, y)/r along the line of sight: dr = u dp; daz = (y dx - x dy)/r^2;
     d(rdot) = u dv + (v - (u v) u)/r dp.
     """
-    # A copy: a kernel compiles anew for read-only and for strided arrays.
-    states, leading = np.array(mean, np.float64, order="C").reshape(-1, STATES), mean.shape[:-1]
+    states, leading = ready(mean).reshape(-1, STATES), mean.shape[:-1]
     z, H = np.empty((*leading, CHANNELS)), np.zeros((*leading, CHANNELS, STATES))
     _linearise(states, z.reshape(-1, CHANNELS), H.reshape(-1, CHANNELS, STATES))
     return z, H

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from service.errors import InvalidInput
-from service.tracking.kernel import kernel
+from service.tracking.kernel import kernel, ready
 from service.tracking.model import F64
 
 STATES = 6
@@ -37,8 +37,7 @@ class Motion:
 
     def move(self, mean: F64, cov: F64) -> tuple[F64, F64]:
         """Return F x (T, 6) and F P F' (T, 6, 6) of a batch of means and covariances, exactly symmetric."""
-        # Copies: a kernel compiles anew for read-only and for strided arrays.
-        F, x, P = (np.array(a, np.float64, order="C") for a in (self.F, mean, cov))
+        F, x, P = ready(self.F), ready(mean), ready(cov)
         new_mean, new_cov = np.empty_like(x), np.empty_like(P)
         _move(F, x, P, new_mean, new_cov)
         return new_mean, new_cov

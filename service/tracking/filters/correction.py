@@ -18,6 +18,7 @@ import numpy as np
 from service.errors import InvalidInput
 from service.tracking.filters.base import Prediction
 from service.tracking.filters.correction_kernels import BALANCED, correct_bank, weigh_pairs
+from service.tracking.kernel import ready
 from service.tracking.measurement import CHANNELS
 from service.tracking.model import F64, Bool
 from service.tracking.motion import STATES
@@ -57,11 +58,11 @@ def owned(array: F64) -> F64:
 
 
 def own_prediction(prediction: Prediction) -> Prediction:
-    """Return a copy for the kernels, with Q (T, 6, 6) or (1, 6, 6)."""
+    """Return a prediction for the kernels, with Q (T, 6, 6) or (1, 6, 6), and a memory to write in."""
     return Prediction(
-        owned(prediction.mean),
-        owned(prediction.propagated),
-        owned(prediction.noise).reshape(-1, STATES, STATES),
+        ready(prediction.mean),
+        ready(prediction.propagated),
+        ready(prediction.noise).reshape(-1, STATES, STATES),
         owned(prediction.memory),
     )
 
@@ -78,9 +79,9 @@ def weigh(z: F64, R: F64, beta: F64, miss: F64, z_hat: F64) -> Innovations:
             f"want z {wanted}, R {(*wanted, CHANNELS)}, miss {(tracks,)}, z_hat {(tracks, CHANNELS)}; "
             f"got z {z.shape}, R {R.shape}, miss {miss.shape}, z_hat {z_hat.shape}"
         )
-    beta, miss = owned(beta), owned(miss)
+    beta, miss = ready(beta), ready(miss)
     e, own_R, measured = np.zeros(wanted), np.zeros((*wanted, CHANNELS)), np.zeros(wanted, np.bool_)
-    unbalanced = weigh_pairs(owned(z), owned(R), beta, miss, z_hat, BALANCE_TOLERANCE, e, own_R, measured)
+    unbalanced = weigh_pairs(ready(z), ready(R), beta, miss, z_hat, BALANCE_TOLERANCE, e, own_R, measured)
     if unbalanced != BALANCED:
         raise InvalidInput(
             f"sum of beta and miss must be 1 for each track, "
