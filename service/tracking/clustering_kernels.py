@@ -98,7 +98,7 @@ def sort_by_cell(features: F64, order: I64, cell: I64) -> tuple[I64, int]:
 def close_pairs(u: F64, cell: I64, begin: I64, length: int) -> tuple[I64, I64]:
     """Return (K,) and (K,) all pairs of points within distance 1, from the sorted features u (N, 4).
 
-    Most pairs end at their distance in the plane, the first two features.
+    Without a branch: one in five is close, in no order that a processor could foresee.
     """
     first, second = np.empty(8 * len(u), np.int64), np.empty(8 * len(u), np.int64)
     found = 0
@@ -115,13 +115,9 @@ def close_pairs(u: F64, cell: I64, begin: I64, length: int) -> tuple[I64, I64]:
                     more_first[p], more_second[p] = first[p], second[p]
                 first, second = more_first, more_second
             for b in range(start, end):
-                d0, d1 = u0 - u[b, 0], u1 - u[b, 1]
-                plane = d0 * d0 + d1 * d1
-                if plane > 1.0:
-                    continue
-                d2, d3 = u2 - u[b, 2], u3 - u[b, 3]
+                d0, d1, d2, d3 = u0 - u[b, 0], u1 - u[b, 1], u2 - u[b, 2], u3 - u[b, 3]
                 first[found], second[found] = a, b
-                found += plane + d2 * d2 + d3 * d3 <= 1.0
+                found += d0 * d0 + d1 * d1 + d2 * d2 + d3 * d3 <= 1.0
     return first[:found], second[:found]
 
 
