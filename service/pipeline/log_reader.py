@@ -10,7 +10,7 @@ import sqlite3
 from pathlib import Path
 
 from service.errors import StorageError
-from service.pipeline.segments import READ_RECORDS
+from service.pipeline.segments import READ_RECORDS, open_to_read
 
 
 class LogReader:
@@ -19,6 +19,7 @@ class LogReader:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._open: dict[Path, sqlite3.Connection] = {}
+        self._used: set[Path] = set()  # since files were let go last
         self._paths: list[Path] = []  # by age
         self._at: dict[str, Path] = {}  # the file in which a sensor was read last
 
@@ -42,12 +43,12 @@ class LogReader:
     def _read(self, path: Path, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
         try:
             if path not in self._open:
-                if not path.exists():  # dropped meanwhile: nothing in it is wanted any more
-                    return []
-                self._open[path] = sqlite3.connect(f"file:{path}?mode=rw", uri=True, isolation_level=None)
-                self._open[path].execute("PRAGMA query_only = ON").close()
+                self._open[path] = open_to_read(path)
+            self._used.add(path)
             return self._open[path].execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
         except sqlite3.Error as error:
+            if path not in self._open and not path.exists():  # dropped: nothing in it is wanted any more
+                return []
             raise StorageError(f"the log file {path.name} cannot be read: {error}") from error
 
     def _next(self, path: Path | None) -> Path | None:
@@ -59,11 +60,19 @@ class LogReader:
         return later[0] if later else None
 
     def let_go(self) -> None:
-        """Close the files that were dropped, so that their room on the disk is free."""
-        for path in [path for path in self._open if not path.exists()]:
-            self._open.pop(path).close()
-            self._paths = [one for one in self._paths if one != path]
-            self._at = {name: at for name, at in self._at.items() if at != path}
+        """Close the files that were dropped, so that their room on the disk is free, and those read through.
+
+        The newest file in which something was read stays open, and those that were read since the last call.
+        """
+        newest = max(self._at.values(), default=None)
+        for path in list(self._open):
+            dropped = not path.exists()
+            if dropped or (path not in self._used and path != newest):
+                self._open.pop(path).close()
+            if dropped:
+                self._paths = [one for one in self._paths if one != path]
+                self._at = {name: at for name, at in self._at.items() if at != path}
+        self._used.clear()
 
     def close(self) -> None:
         """Let go of all files."""

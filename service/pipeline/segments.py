@@ -10,8 +10,8 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,9 @@ from service.errors import StorageError, Unavailable
 
 PAGE_BYTES = 16384  # nine frames of 100 points, three of 300: little of a page stays empty
 _CHECKPOINT_PAGES = 500  # the write-ahead file is 8 MB at most
+# Of who reads: SQLite would keep 2 MB of pages for each open file. The newest file changes with every
+# transaction, which voids what is kept; in an older one a record is read once.
+_READ_CACHE_KB = 256
 # Rows lie in the order in which they came, so that every page is filled before the next is begun; the key is
 # an index beside them. (As the table's own order it would be an index of bodies, of which all but 2 kB go
 # to pages that nothing else may use: such files were 1.8 to 3.7 times as large as the frames in them.)
@@ -61,7 +64,10 @@ class Extent:
 
 
 class Segment:
-    """One open segment file; one thread appends, any thread reads."""
+    """One segment file; one thread appends until it is sealed, any thread reads.
+
+    While it is written it is held open by two connections, with 3 MB of memory; once sealed by none.
+    """
 
     def __init__(self, path: Path, carried: Mapping[str, int]) -> None:
         """Open the file, or create it with the newest position of every sensor so far.
@@ -74,7 +80,7 @@ class Segment:
         unclean = _beside(path, "-wal").exists()
         try:
             self._writer = _connect(path)
-            self._reader = _connect(path)
+            self._reader: sqlite3.Connection | None = open_to_read(path)
             self._prepare(carried, check=unclean)
         except sqlite3.DatabaseError as error:
             self.close()
@@ -113,8 +119,8 @@ class Segment:
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
         """Return up to `limit` bodies of a sensor with positions above `after`, in order."""
-        with self._reading:
-            return self._reader.execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
+        with self._opened() as connection:
+            return connection.execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
 
     def purge(self, sensor_id: str) -> None:
         """Overwrite a sensor's records with zeros, in small parts so that appending never waits long."""
@@ -126,22 +132,39 @@ class Segment:
 
     def first_body(self) -> bytes | None:
         """Return the body of the first record, None when there is none."""
-        with self._reading:
-            row = self._reader.execute("SELECT body FROM record LIMIT 1").fetchone()
+        with self._opened() as connection:
+            row = connection.execute("SELECT body FROM record LIMIT 1").fetchone()
         return None if row is None else bytes(row[0])
 
     def size_bytes(self) -> int:
         """Return what the file and its write-ahead file take on the disk."""
-        paths = (self.path, _beside(self.path, "-wal"))
-        return sum(path.stat().st_size for path in paths if path.exists())
+        size = 0
+        for path in (self.path, _beside(self.path, "-wal")):
+            with suppress(FileNotFoundError):  # who closes a file last removes the other, at any time
+                size += path.stat().st_size
+        return size
 
     def seal(self) -> None:
-        """Move the write-ahead file into the file, of which no more is written; reading goes on.
+        """Move the write-ahead file into the file, of which no more is written, and let go of both.
 
-        An active file keeps up to 8 MB of it, to write the same pages again and again.
+        An active file keeps up to 8 MB of it, to write the same pages again and again. Whoever reads a
+        sealed file opens it for that: a log of many files would else take memory and descriptors for each.
         """
         with self._reading:  # a reader would make it wait
-            self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
+            try:
+                self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
+            finally:
+                self.close()
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """Yield a connection for reading, which nobody else uses meanwhile."""
+        with self._reading:
+            if self._reader is not None:
+                yield self._reader
+                return
+            with closing(open_to_read(self.path)) as connection:
+                yield connection
 
     def close(self) -> None:
         """Close the file; the write-ahead file goes into it."""
@@ -149,6 +172,7 @@ class Segment:
             connection: sqlite3.Connection | None = getattr(self, name, None)
             if connection is not None:
                 connection.close()
+        self._reader = None
 
     def delete(self) -> None:
         """Close the file and remove it."""
@@ -174,6 +198,15 @@ def _code(error: sqlite3.Error) -> int | None:
     """Return SQLite's own code of an error, None for one of Python's module."""
     code: int | None = getattr(error, "sqlite_errorcode", None)
     return None if code is None else code & _PRIMARY_CODE
+
+
+def open_to_read(path: Path) -> sqlite3.Connection:
+    """Return a connection that reads a segment file and takes little memory; raises sqlite3.Error."""
+    address = f"{path.absolute().as_uri()}?mode=rw"  # an empty file is never made
+    connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
+    for pragma in ("query_only = ON", f"cache_size = -{_READ_CACHE_KB}"):
+        connection.execute(f"PRAGMA {pragma}").close()
+    return connection
 
 
 def _connect(path: Path) -> sqlite3.Connection:

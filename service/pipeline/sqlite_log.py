@@ -225,8 +225,7 @@ class SqliteLog:
         with self._guard:
             segment = Segment(_next_path(newest.path), self._last)
             self._segments.append(segment)
-        with suppress(sqlite3.Error):  # no room for it: the write-ahead file stays, nothing is lost
-            newest.seal()
+        _seal(newest)
         return segment
 
     # ------------------------------------------------------------- reading
@@ -349,6 +348,8 @@ class SqliteLog:
                 log.error("log file set aside", file=path.name, error=str(error))  # noqa: TRY400
                 set_aside(path)
                 continue
+            if self._segments:
+                _seal(self._segments[-1])
             self._segments.append(segment)
             ends = {name: extent.last for name, extent in segment.extents.items()}
             for name, position in (*segment.carried.items(), *ends.items()):
@@ -369,6 +370,11 @@ class SqliteLog:
         for segment in self._segments:
             segment.close()
         os.close(self._lock_file)
+
+
+def _seal(segment: Segment) -> None:
+    with suppress(sqlite3.Error):  # no room for it: the write-ahead file stays, nothing is lost
+        segment.seal()
 
 
 def _next_path(path: Path) -> Path:

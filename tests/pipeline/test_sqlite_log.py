@@ -6,6 +6,8 @@ import sqlite3
 import subprocess
 import sys
 import threading
+from contextlib import closing, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ import pytest
 from service.errors import InvalidFrame, StorageError, Unavailable
 from service.formats.columnar import encode_frame
 from service.pipeline.codec import decode_record, encode_record
+from service.pipeline.log_reader import LogReader
 from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, TickRecord
+from service.pipeline.segments import open_to_read
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from tests.pipeline.recordings import frame, recording, records
 
@@ -212,6 +216,120 @@ def small_log(tmp_path, monkeypatch):
 def append_all(frame_log, wanted) -> None:
     for record in wanted:
         frame_log.append("radar-1", [record])
+
+
+def open_segments(folder) -> list[str]:
+    """Return the names of the segment files that this process holds open."""
+    names = set()
+    for link in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # of the listing itself
+            names.add(link.readlink())
+    return sorted({path.name for path in names if path.parent == folder and path.suffix == ".sqlite"})
+
+
+def test_a_full_file_is_held_open_by_nobody_and_still_read(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    names = sorted(path.name for path in tmp_path.glob("segment-*.sqlite"))
+    assert len(names) > 2
+
+    assert open_segments(tmp_path) == names[-1:]
+    assert bodies(small_log.read("radar-1", 0, 500)) == [encode_record(r) for r in big_records(25)]
+    assert small_log.oldest_us() == 0
+    assert open_segments(tmp_path) == names[-1:]
+    assert list(tmp_path.glob("*-wal")) == [tmp_path / f"{names[-1]}-wal"]
+
+
+def test_only_the_newest_file_of_a_log_that_is_opened_again_stays_open(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    newest = max(path.name for path in tmp_path.glob("segment-*.sqlite"))
+    small_log.close()
+
+    again = SqliteLog(tmp_path, SMALL)
+    try:
+        assert open_segments(tmp_path) == [newest]
+        assert len(again.read("radar-1", 0, 500)) == 25
+        assert again.append("radar-1", big_records(1)) == [26]
+    finally:
+        again.close()
+
+
+def test_who_follows_the_log_holds_only_the_files_open_that_are_still_read(small_log, tmp_path):
+    small_log.append("quiet", ALL_KINDS[:1])
+    append_all(small_log, big_records(25))
+    small_log.close()
+    reader = LogReader(tmp_path)
+    held = []
+    assert len(reader.read("quiet", 0, 1)) == 1
+    for position in range(25):
+        assert [at for at, _ in reader.read("radar-1", position, 1)] == [position + 1]
+        reader.let_go()
+        held.append(open_segments(tmp_path))
+
+    names = sorted(path.name for path in tmp_path.glob("segment-*.sqlite"))
+    assert len(names) > 4
+    assert max(map(len, held)) == 2  # where the one is read through and the next begun
+    reader.let_go()
+    assert open_segments(tmp_path) == names[-1:]
+    assert len(reader.read("quiet", 0, 1)) == 1  # a file that was closed is opened again
+    reader.close()
+    assert open_segments(tmp_path) == []
+
+
+def test_a_file_that_was_dropped_is_passed_over_by_who_follows_the_log(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    reader = LogReader(tmp_path)
+    first = reader.read("radar-1", 0, 1)
+    small_log.close()
+    oldest = min(tmp_path.glob("segment-*.sqlite"))
+    reader.close()
+    oldest.unlink()
+
+    found = reader.read("radar-1", 0, 100)
+
+    reader.close()
+    assert [at for at, _ in first] == [1]
+    assert 1 < found[0][0] < 25
+    assert found[-1][0] == 25
+
+
+def test_the_size_of_the_log_is_told_while_a_tracker_lets_go_of_a_file(small_log, tmp_path, monkeypatch):
+    append_all(small_log, big_records(25))
+    files = sum(path.stat().st_size for path in tmp_path.glob("segment-*.sqlite"))
+    stat = Path.stat
+
+    def vanished(path, **options):
+        if path.name.endswith("-wal"):
+            raise FileNotFoundError(path)
+        return stat(path, **options)
+
+    monkeypatch.setattr(Path, "exists", lambda _: True)
+    monkeypatch.setattr(Path, "stat", vanished)
+
+    assert small_log.size_bytes() == files
+
+
+def test_pages_of_the_log_are_kept_for_a_reader_to_a_small_size_only(small_log, tmp_path):
+    append_all(small_log, big_records(1))
+    (path,) = tmp_path.glob("segment-*.sqlite")
+
+    with closing(open_to_read(path)) as connection:
+        assert connection.execute("PRAGMA cache_size").fetchone() == (-256,)  # in KiB
+        with pytest.raises(sqlite3.OperationalError, match="readonly"):
+            connection.execute("DELETE FROM record")
+    with pytest.raises(sqlite3.OperationalError):
+        open_to_read(tmp_path / "segment-00000099.sqlite")
+    assert not (tmp_path / "segment-00000099.sqlite").exists()
+
+
+def test_the_folder_of_the_log_may_have_any_name(tmp_path):
+    folder = tmp_path / "50%41 #1?"
+    log, reader = SqliteLog(folder, SMALL), LogReader(folder)
+    try:
+        append_all(log, big_records(2))
+        assert [at for at, _ in reader.read("radar-1", 0, 9)] == [1, 2]
+    finally:
+        reader.close()
+        log.close()
 
 
 def fill(frame_log) -> int:
