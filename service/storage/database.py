@@ -142,6 +142,7 @@ def _open_sqlite(address: URL) -> Engine:
         connect_args={"timeout": BUSY_TIMEOUT_S},
         pool_size=POOL_SIZE,
         max_overflow=POOL_OVERFLOW,
+        pool_use_lifo=True,  # each that is used fills 2 MB with pages: the same one again, not all in turn
         hide_parameters=True,  # in errors, which end up in logs
     )
     event.listen(engine, "connect", _prepare_sqlite)

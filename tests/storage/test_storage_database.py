@@ -36,6 +36,19 @@ def test_sqlite_writes_ahead_in_pages_of_the_chosen_size(sqlite_engine):
     assert found == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "page_size": 8192}
 
 
+def test_a_few_readers_at_a_time_use_the_same_few_connections(sqlite_engine):
+    at_once = [sqlite_engine.connect() for _ in range(5)]
+    for one in at_once:
+        one.close()
+
+    used = set()
+    for _ in range(10):
+        with connection(sqlite_engine) as reader:
+            used.add(id(reader.connection.driver_connection))
+
+    assert len(used) == 1
+
+
 def test_an_error_rolls_the_whole_transaction_back(engine, sensor):
     def rename_then_fail():
         with session_scope(engine) as writer:
