@@ -6,6 +6,8 @@ import os
 import re
 from pathlib import Path
 
+_MAPPING_FIELDS = 5  # behind the addresses of a mapping that has a name, in /proc/PID/smaps
+
 
 def descendants(pid: int) -> list[int]:
     """Return the processes that come from a process, itself first."""
@@ -44,16 +46,38 @@ def cores(before: dict[str, float], after: dict[str, float], spent_s: float) -> 
 
 
 def resident_mb(pid: int) -> float:
-    """Return the memory of all processes together; pages that several share count once."""
-    total = 0
+    """Return the memory of all processes together: their own, and each mapped file once.
+
+    Pages of their own that several of them share count once, in shares; those of files (the numerical
+    libraries) count whole, so that it makes no difference who else on the machine maps them.
+    """
+    own_kb = 0
+    of_file_kb: dict[str, int] = {}
     for one in descendants(pid):
         try:
-            text = Path(f"/proc/{one}/smaps_rollup").read_text()
+            rollup = Path(f"/proc/{one}/smaps_rollup").read_text()
+            mappings = Path(f"/proc/{one}/smaps").read_text()
         except (FileNotFoundError, ProcessLookupError, PermissionError):
             continue
-        found = re.search(r"^Pss:\s+(\d+)", text, re.MULTILINE)
-        total += int(found.group(1)) if found else 0
-    return total / 1024
+        found = re.search(r"^Pss_Anon:\s+(\d+)", rollup, re.MULTILINE)
+        own_kb += int(found.group(1)) if found else 0
+        for name, size_kb in _file_kb(mappings).items():
+            of_file_kb[name] = max(size_kb, of_file_kb.get(name, 0))
+    return (own_kb + sum(of_file_kb.values())) / 1024
+
+
+def _file_kb(mappings: str) -> dict[str, int]:
+    """Return what is resident of each mapped file [kB], without pages that the process changed for itself."""
+    name, sizes_kb = "", {}
+    for line in mappings.splitlines():
+        key, *values = line.split(maxsplit=5)
+        if not key.endswith(":"):
+            name = values[-1] if len(values) == _MAPPING_FIELDS else ""
+        elif key == "Rss:":
+            sizes_kb[name] = sizes_kb.get(name, 0) + int(values[0])
+        elif key == "Anonymous:":
+            sizes_kb[name] -= int(values[0])
+    return sizes_kb
 
 
 def _stat(pid: int) -> list[str]:

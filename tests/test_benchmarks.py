@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks import counts, diagnosis, hostile, ingest  # noqa: E402
+from benchmarks.process_tree import resident_mb  # noqa: E402
 
 
 @pytest.mark.slow
@@ -156,3 +157,46 @@ def test_a_missed_vehicle_is_told_by_what_became_of_its_points(tracks, owner, ca
 )
 def test_a_false_track_is_told_by_what_it_lives_on(points, matched, cause):
     assert held_against_truth([seen({1: AWAY}, points)], [matched]).why_false(0, 1) == cause
+
+
+_HOLDER = """
+import mmap, os, sys
+own = bytearray(os.urandom(8)) * 2**20
+file = mmap.mmap(os.open(sys.argv[1], os.O_RDONLY), 0, prot=mmap.PROT_READ)
+touched = sum(file[at] for at in range(0, len(file), mmap.PAGESIZE))
+child = os.fork() if sys.argv[2] == "fork" else 1
+print(len(own), touched, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_memory_counts_a_file_once_and_is_the_same_whoever_else_maps_it(tmp_path):
+    path = tmp_path / "library"
+    path.write_bytes(bytes(24 * 2**20))
+
+    def hold(file, how):
+        command = [sys.executable, "-c", _HOLDER, str(file), how]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        process.stdout.readline()
+        return process
+
+    def end(process):
+        process.stdin.close()
+        process.wait()
+        process.stdout.close()
+
+    small = tmp_path / "small"
+    small.write_bytes(bytes(4096))
+    bare, alone, forked = hold(small, "alone"), hold(path, "alone"), hold(path, "fork")
+    try:
+        before_mb = resident_mb(alone.pid)
+        other = hold(path, "alone")
+        beside_mb = resident_mb(alone.pid)
+        end(other)
+
+        assert before_mb - resident_mb(bare.pid) == pytest.approx(24.0, abs=1.0)
+        assert beside_mb == pytest.approx(before_mb, abs=0.5)
+        assert resident_mb(forked.pid) == pytest.approx(before_mb, abs=3.0)  # the fork changes little
+    finally:
+        for process in (bare, alone, forked):
+            end(process)
