@@ -1,4 +1,4 @@
-"""The page of traffic measures in a real browser, before a real server with three recorded minutes and a bit."""
+"""The page of traffic measures in a real browser, before a server with three recorded minutes and a bit."""
 
 from __future__ import annotations
 
