@@ -28,6 +28,17 @@ class CountParameters:
     ghost_along_m: float = 4.0
     ghost_across_m: float = 1.2  # half of the widest vehicle
 
+    # A crossing that nobody saw, of a vehicle first seen behind the line or last seen before it
+    unseen_behind_s: float = 4.0  # of the way back to the line, at most; beyond, too few are real
+    unseen_ahead_s: float = 4.0  # of the way on to it
+    unseen_life_s: float = 2.5  # for which it was followed: second tracks of a vehicle rarely are
+    unseen_wait_s: float = 1.5  # for others that are counted there
+    unseen_least_mps: float = 3.0  # slower ones may have stood
+    unseen_apart_m: float = 2.0  # between bumpers of vehicles in a lane, at least ...
+    unseen_apart_s: float = 0.6  # ... and between their middles in time
+    unseen_across_m: float = 2.5  # beside one another vehicles are farther apart
+    unseen_share: float = 0.93  # of such crossings that are real
+
     least_life_s: float = 1.0  # listed for less, a vehicle is more often a ghost than not
     least_existence: float = 0.5  # of a track whose crossing is counted
     real_share: float = (

@@ -36,6 +36,7 @@ from service.traffic.records import (
     record_of,
 )
 from service.traffic.stitching import Vehicles, join, no_vehicles
+from service.traffic.unseen import settled, unseen
 from service.traffic.window import Scan, remember, scan_of
 
 OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
@@ -58,11 +59,13 @@ class CountState:
     ruler: Ruler
     cells: tuple[MinuteCells, ...]
     crossings: int  # given out in this epoch
+    waiting: tuple[Crossing, ...] = ()  # that nobody saw, until it is sure that nobody else was meant
+    since_us: int = 0  # of the first frame after the last stretch without any
 
     @property
     def idle(self) -> bool:
         """True when the passing of time alone gives nothing more out."""
-        return self.coverage.told and not self.states.pending
+        return self.coverage.told and not self.states.pending and not self.waiting
 
 
 def nothing_counted() -> CountState:
@@ -86,21 +89,30 @@ def count(
     cells = drive(state.cells, ruler, joined, scan.lane, now_us)
     coverage = state.coverage
     if not moment.tick:
-        if coverage.last_us is not None and now_us - coverage.last_us > p.blind_s * 1e6:
-            state = replace(state, leaders=())  # who drove between them was not seen
+        if coverage.last_us is None or now_us - coverage.last_us > p.blind_s * 1e6:
+            # who drove since the last frame was not seen
+            waiting = tuple(x for x in state.waiting if x.time_us <= (coverage.last_us or 0))
+            state = replace(state, leaders=(), since_us=now_us, waiting=waiting)
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
     mapped: tuple[MinuteBlock, ...] = state.blocks
     relabelled_blocks: tuple[MinuteBlock, ...] = ()
     if ruler is not state.ruler and lanes.lanes:
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    crossings, leaders = _followed(found, state, window, ruler, p)
+    waiting = state.waiting + unseen(
+        state.vehicles, state.states, joined, states, View(window, state.lines, p), ruler, mapped,
+        state.since_us,
+    )  # fmt: skip
+    if waiting:
+        waiting, beyond = settled(waiting, mapped, found, now_us, coverage.last_us or 0, p)
+        found = tuple(sorted((*found, *beyond), key=lambda x: (x.time_us, x.track)))
+    crossings, leaders = _followed(found, state, ruler, p)
     blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
     grown = _newest(relabelled_blocks, grown)
     state = CountState(
         lines=state.lines, placed_on=state.placed_on, vehicles=joined.vehicles, states=states, window=window,
         leaders=leaders, blocks=blocks, coverage=coverage, ruler=ruler, cells=cells,
-        crossings=state.crossings + len(crossings),
+        crossings=state.crossings + len(crossings), since_us=state.since_us, waiting=waiting,
     )  # fmt: skip
     state, received, sums = _told(state, moment)
     return state, Counts(crossings, grown, received, sums)
@@ -122,16 +134,15 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
         return state
     lines = drawn or place_lines(lanes, p)
     states = no_line_states(len(state.vehicles), len(lines))
-    return replace(state, lines=lines, placed_on=across, states=states, leaders=())
+    return replace(state, lines=lines, placed_on=across, states=states, leaders=(), waiting=())
 
 
 def _followed(
-    found: Sequence[Crossing], state: CountState, window: Sequence[Scan], ruler: Ruler, p: CountParameters
+    found: Sequence[Crossing], state: CountState, ruler: Ruler, p: CountParameters
 ) -> tuple[tuple[Crossing, ...], tuple[Leader, ...]]:
     """Return the crossings with number, map, headway and gap, and whom the next ones follow."""
     if not found:
         return (), state.leaders
-    since_us = _seen_since_us(window, p)
     leaders = {(x.line_id, x.lane, x.direction): x for x in state.leaders}
     lines = {line.line_id: line for line in state.lines}
     place = np.array([(crossing.x_m, crossing.y_m) for crossing in found])
@@ -147,7 +158,7 @@ def _followed(
         if leader is not None and front_us > leader.front_us:
             headway_s = (front_us - leader.front_us) / 1e6
             gap_s = headway_s - leader.passing_s
-        if lane and front_us >= since_us and (leader is None or front_us > leader.front_us):
+        if lane and front_us >= state.since_us and (leader is None or front_us > leader.front_us):
             leaders[key] = Leader(*key, front_us, passing)
         crossings.append(
             replace(
@@ -155,17 +166,6 @@ def _followed(
             )
         )
     return tuple(crossings), tuple(leaders.values())
-
-
-def _seen_since_us(window: Sequence[Scan], p: CountParameters) -> int:
-    """Return when frames came again after the last blind stretch that the window shows, 0 without one."""
-    since_us, last = 0, window[0]
-    for scan in window:
-        if scan.frame != last.frame:  # else a tick of a gap
-            if scan.time_us - last.time_us > p.blind_s * 1e6:
-                since_us = scan.time_us
-            last = scan
-    return since_us
 
 
 def _collected(
