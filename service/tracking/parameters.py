@@ -79,7 +79,8 @@ class AssociationParameters:
     )
     widen_after: int = 3  # empty frames in a row after which the gate is widened
     widen_position_m2: float = 0.06  # added per frame to each position variance
-    widen_velocity_m2ps2: float = 0.5
+    widen_velocity_m2ps2: float = 2.0  # ... and to each of velocity, of what is missed in plain sight ...
+    widen_shadowed_m2ps2: float = 0.5  # ... and of what a nearer vehicle may hide
     off_road_range_m: float = 140.0  # farther out the road map has not been taught
     birth_accel_std_mps2: float = 2.0
 

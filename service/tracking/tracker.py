@@ -287,28 +287,30 @@ def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
     """Return the process noise, larger where a gate has stayed empty for longer than misses explain.
 
     The variances of position and velocity grow with every empty frame, so that a braking vehicle is met
-    again.
+    again: faster in plain sight, where nothing but such a manoeuvre takes a vehicle away from its points.
     """
     out = np.empty((len(tracks), *noise.shape[-2:]))
     out[:] = noise
     _widen(
         out, tracks.mean, tracks.empty, tracks.detect_rate, p.boxes.widen_after,
-        p.boxes.widen_position_m2, p.boxes.widen_velocity_m2ps2,
+        p.boxes.widen_position_m2, p.boxes.widen_velocity_m2ps2, p.boxes.widen_shadowed_m2ps2,
+        existence.shadowed(tracks),
     )  # fmt: skip
     return out
 
 
 @kernel
 def _widen(
-    noise: F64, mean: F64, empty: I64, detect_rate: F64, after: int, position_m2: float, velocity_m2ps2: float
-) -> None:
+    noise: F64, mean: F64, empty: I64, detect_rate: F64, after: int, position_m2: float,
+    velocity_m2ps2: float, shadowed_m2ps2: float, hidden: Bool,
+) -> None:  # fmt: skip
     for i in range(len(mean)):
         if empty[i] < after or empty[i] <= 2.0 / max(detect_rate[i], 0.1):
             continue
         if math.hypot(mean[i, 1], mean[i, 4]) > 2.0:
             for axis in (0, 3):
                 noise[i, axis, axis] += position_m2
-                noise[i, axis + 1, axis + 1] += velocity_m2ps2
+                noise[i, axis + 1, axis + 1] += shadowed_m2ps2 if hidden[i] else velocity_m2ps2
 
 
 # ---------------------------------------------------------------- memory

@@ -101,12 +101,15 @@ def test_only_the_noise_of_moving_tracks_that_stay_empty_grows(rng):
     t, p = some_tracks(rng), TrackerParameters()
     late = (t.empty >= p.boxes.widen_after) & (t.speed_mps > 2.0)
     late &= t.empty > 2.0 / np.maximum(t.detect_rate, 0.1)
-    grown = np.diag([1, 1, 0, 1, 1, 0]) * np.array([0.06, 0.5, 0.0, 0.06, 0.5, 0.0])
+    hidden = existence.shadowed(t)
+    speed = np.where(hidden, p.boxes.widen_shadowed_m2ps2, p.boxes.widen_velocity_m2ps2)
+    place, none = np.full(len(t), p.boxes.widen_position_m2), np.zeros(len(t))
+    grown = np.column_stack([place, speed, none, place, speed, none])[:, :, None] * np.eye(6)
 
     noise = tracker._widened(np.eye(6), t, p)
 
     np.testing.assert_allclose(noise, np.eye(6) + late[:, None, None] * grown)
-    assert 0 < late.sum() < len(t)
+    assert 0 < (late & hidden).sum() < late.sum() < len(t)
 
 
 def test_silent_tracks_outside_the_view_have_left_and_the_sure_ones_give_the_echo(rng):
