@@ -146,6 +146,7 @@ class Channel(Generic[S]):
     unstored_received_us: list[int] = field(default_factory=list)  # of frames folded since the last flush
     stored_us: int | None = None
     failure: str | None = None
+    read_again_s: float = 0.0  # monotonic: the log could not be read, and is not before; 0: it could
     leaving: bool = False
     reopening: Reopening | None = None
     skipped: int = 0  # records that were left out when its epoch was begun on purpose

@@ -132,7 +132,7 @@ class Folding(Generic[S]):
             if self._frame_log.last_position(channel.sensor_id) <= channel.state.position:
                 self._tick_if_silent(channel)
                 return False
-            records = self._frame_log.read(channel.sensor_id, channel.state.position, TURN_RECORDS)
+            records = self._read(channel)
             for position, record in records:
                 self._fold(channel, position, record)
         except Exception as error:  # noqa: BLE001 - the edge of one sensor: the others go on
@@ -141,6 +141,22 @@ class Folding(Generic[S]):
             self._place.end()
             return False
         return bool(records)
+
+    def _read(self, channel: Channel[S]) -> list[tuple[int, Record]]:
+        """Return a sensor's next few records; none while they cannot be read, as when the disk is full."""
+        if time.monotonic() < channel.read_again_s:
+            return []
+        try:
+            records = self._frame_log.read(channel.sensor_id, channel.state.position, TURN_RECORDS)
+        except Unavailable as error:
+            if not channel.read_again_s:
+                _log.warning(
+                    "records not read, will try again", sensor_id=channel.sensor_id, reason=str(error)
+                )
+            channel.read_again_s = time.monotonic() + error.retry_after_s
+            return []
+        channel.read_again_s = 0.0
+        return records
 
     def _fold(self, channel: Channel[S], position: int, record: Record) -> None:
         started_s = time.perf_counter()

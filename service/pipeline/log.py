@@ -21,7 +21,10 @@ class FrameLog(Protocol):
         ...
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, Record]]:
-        """Return up to `limit` records with positions above `after`, in order."""
+        """Return up to `limit` records with positions above `after`, in order.
+
+        Raises Unavailable when they cannot be read for now, StorageError when they never can.
+        """
         ...
 
     def last_position(self, sensor_id: str) -> int:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import sqlite3
 from pathlib import Path
 
-from service.errors import StorageError
-from service.pipeline.segments import READ_RECORDS, open_to_read
+from service.errors import Unavailable
+from service.pipeline.segments import READ_RECORDS, not_read, open_to_read
 
 
 class LogReader:
@@ -26,7 +26,7 @@ class LogReader:
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
         """Return up to `limit` bodies of a sensor with positions above `after`, in order.
 
-        Raises StorageError when a file cannot be read.
+        Raises StorageError when a file is damaged, Unavailable when one cannot be read for now.
         """
         found: list[tuple[int, bytes]] = []
         path = self._at.get(sensor_id) or self._next(None)
@@ -47,15 +47,21 @@ class LogReader:
             self._used.add(path)
             return self._open[path].execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
         except sqlite3.Error as error:
-            if path not in self._open and not path.exists():  # dropped: nothing in it is wanted any more
+            failed = self._open.pop(path, None)
+            if failed is not None:
+                failed.close()
+            elif not path.exists():  # dropped: nothing in it is wanted any more
                 return []
-            raise StorageError(f"the log file {path.name} cannot be read: {error}") from error
+            raise not_read(path, error) from error
 
     def _next(self, path: Path | None) -> Path | None:
         """Return the file after this one (None: the oldest), None when it is the newest."""
         later = [one for one in self._paths if path is None or one > path]
         if not later:
-            self._paths = sorted(self._folder.glob("segment-*.sqlite"))
+            try:
+                self._paths = sorted(self._folder.glob("segment-*.sqlite"))
+            except OSError as error:
+                raise Unavailable(f"the log's folder cannot be read: {error}") from error
             later = [one for one in self._paths if path is None or one > path]
         return later[0] if later else None
 

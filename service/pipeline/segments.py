@@ -15,7 +15,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.errors import StorageError, Unavailable
+from service.errors import StorageError, Unavailable, WaysideError
 
 PAGE_BYTES = 16384  # nine frames of 100 points, three of 300: little of a page stays empty
 _CHECKPOINT_PAGES = 500  # the write-ahead file is 8 MB at most
@@ -53,6 +53,8 @@ _NO_DAMAGE = frozenset(
     }
 )
 _PRIMARY_CODE = 0xFF  # SQLite's extended result codes keep the primary one in the lowest byte
+# A place of the disk that cannot be read stays so: who waited for it would hold back every file behind.
+_LOST = frozenset({sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,8 @@ class Extent:
 class Segment:
     """One segment file; one thread appends until it is sealed, any thread reads.
 
-    While it is written it is held open by two connections, with 3 MB of memory; once sealed by none.
+    While it is written it is held open by two connections, with 3 MB of memory; once sealed by none, but for
+    one while sensors are read in the midst of it.
     """
 
     def __init__(self, path: Path, carried: Mapping[str, int]) -> None:
@@ -77,6 +80,9 @@ class Segment:
         self.path = path
         self.extents: dict[str, Extent] = {}
         self.begun_us: int | None = None  # when its first record was received, once somebody asked
+        self.followers: set[str] = set()  # sensors that were read here last and have more here
+        self._reading = threading.Lock()  # over the reader, and over what follows
+        self._sealed = self._closed = False
         unclean = _beside(path, "-wal").exists()
         try:
             self._writer = _connect(path)
@@ -87,7 +93,6 @@ class Segment:
             if _code(error) in _NO_DAMAGE:  # such a file must not be set aside
                 raise Unavailable(f"the log file {path.name} cannot be opened: {error}") from error
             raise StorageError(f"the log file {path.name} is damaged: {error}") from error
-        self._reading = threading.Lock()
 
     def _prepare(self, carried: Mapping[str, int], *, check: bool) -> None:
         if check:
@@ -118,12 +123,29 @@ class Segment:
             self.extents[sensor_id] = Extent(positions[0] if known is None else known.first, positions[-1])
 
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, bytes]]:
-        """Return up to `limit` bodies of a sensor with positions above `after`, in order."""
+        """Return up to `limit` bodies of a sensor with positions above `after`, in order.
+
+        A sealed file stays open while there is more of the sensor, until `leave`. Raises StorageError when
+        the file is damaged or closed, Unavailable when it cannot be read for now.
+        """
         with self._opened() as connection:
-            return connection.execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
+            rows = connection.execute(READ_RECORDS, (sensor_id, after, limit)).fetchall()
+            extent = self.extents.get(sensor_id)
+            if rows and extent is not None and rows[-1][0] < extent.last:
+                self.followers.add(sensor_id)
+            else:
+                self.followers.discard(sensor_id)
+        return rows
+
+    def leave(self, sensor_id: str) -> None:
+        """Take in that a sensor is read elsewhere."""
+        with self._reading:
+            self.followers.discard(sensor_id)
+            self._rest()
 
     def purge(self, sensor_id: str) -> None:
         """Overwrite a sensor's records with zeros, in small parts so that appending never waits long."""
+        self._require_open()
         with closing(_connect(self.path)) as connection:
             connection.execute("PRAGMA secure_delete = ON")
             while connection.execute(_PURGE, (sensor_id, sensor_id, PURGED_RECORDS)).rowcount > 0:
@@ -131,7 +153,7 @@ class Segment:
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
 
     def first_body(self) -> bytes | None:
-        """Return the body of the first record, None when there is none."""
+        """Return the body of the first record, None when there is none; raises as `read` does."""
         with self._opened() as connection:
             row = connection.execute("SELECT body FROM record LIMIT 1").fetchone()
         return None if row is None else bytes(row[0])
@@ -154,20 +176,41 @@ class Segment:
             try:
                 self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)").close()
             finally:
-                self.close()
+                self._sealed = True
+                self._let_go()
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
-        """Yield a connection for reading, which nobody else uses meanwhile."""
+        """Yield a connection for reading, which nobody else uses meanwhile; raises as `read` does."""
         with self._reading:
-            if self._reader is not None:
+            self._require_open()
+            try:
+                if self._reader is None:
+                    self._reader = open_to_read(self.path)
                 yield self._reader
-                return
-            with closing(open_to_read(self.path)) as connection:
-                yield connection
+            except sqlite3.Error as error:
+                self.followers.clear()
+                raise not_read(self.path, error) from error
+            finally:
+                self._rest()
+
+    def _require_open(self) -> None:
+        """Raise StorageError when the log was closed: its folder may be another process's by now."""
+        if self._closed:
+            raise StorageError(f"the log file {self.path.name} is closed")
+
+    def _rest(self) -> None:
+        """Let go of a sealed file that is not read any more."""
+        if self._sealed and not self.followers:
+            self._let_go()
 
     def close(self) -> None:
-        """Close the file; the write-ahead file goes into it."""
+        """Close the file for good; the write-ahead file goes into it."""
+        with self._reading:
+            self._closed = True
+            self._let_go()
+
+    def _let_go(self) -> None:
         for name in ("_reader", "_writer"):
             connection: sqlite3.Connection | None = getattr(self, name, None)
             if connection is not None:
@@ -176,10 +219,14 @@ class Segment:
 
     def delete(self) -> None:
         """Close the file and remove it."""
-        with self._reading:
-            self.close()
+        self.close()
         for path in (self.path, _beside(self.path, "-wal"), _beside(self.path, "-shm")):
             path.unlink(missing_ok=True)
+
+
+def next_path(path: Path) -> Path:
+    """Return the path of the segment after this one."""
+    return path.with_name(f"segment-{int(path.name[8:16]) + 1:08d}.sqlite")
 
 
 def set_aside(path: Path) -> None:
@@ -200,24 +247,41 @@ def _code(error: sqlite3.Error) -> int | None:
     return None if code is None else code & _PRIMARY_CODE
 
 
+def not_read(path: Path, error: sqlite3.Error) -> WaysideError:
+    """Return what to raise when a segment file was not read: Unavailable when that may pass."""
+    told = f"the log file {path.name} cannot be read: {error}"
+    lost = getattr(error, "sqlite_errorcode", None) in _LOST
+    return StorageError(told) if lost or _code(error) not in _NO_DAMAGE else Unavailable(told)
+
+
 def open_to_read(path: Path) -> sqlite3.Connection:
     """Return a connection that reads a segment file and takes little memory; raises sqlite3.Error."""
     address = f"{path.absolute().as_uri()}?mode=rw"  # an empty file is never made
-    connection = sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False)
-    for pragma in ("query_only = ON", f"cache_size = -{_READ_CACHE_KB}"):
-        connection.execute(f"PRAGMA {pragma}").close()
-    return connection
+    return _set_up(
+        sqlite3.connect(address, uri=True, isolation_level=None, check_same_thread=False),
+        "query_only = ON",
+        f"cache_size = -{_READ_CACHE_KB}",
+    )
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    for pragma in (
+    return _set_up(
+        sqlite3.connect(path, isolation_level=None, check_same_thread=False),
         f"page_size = {PAGE_BYTES}",
         "journal_mode = WAL",
         "synchronous = FULL",
         f"wal_autocheckpoint = {_CHECKPOINT_PAGES}",
-    ):
-        connection.execute(f"PRAGMA {pragma}").close()
+    )
+
+
+def _set_up(connection: sqlite3.Connection, *pragmas: str) -> sqlite3.Connection:
+    """Return the connection with its settings made; it is closed when the file does not allow one."""
+    try:
+        for pragma in pragmas:
+            connection.execute(f"PRAGMA {pragma}").close()
+    except BaseException:
+        connection.close()
+        raise
     return connection
 
 

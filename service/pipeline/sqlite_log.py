@@ -27,7 +27,7 @@ from service.errors import InvalidFrame, StorageError, Unavailable, WaysideError
 from service.pipeline.codec import encode_record, record_time_us
 from service.pipeline.promises import Promise, tell
 from service.pipeline.records import Record
-from service.pipeline.segments import Extent, Segment, set_aside
+from service.pipeline.segments import Extent, Segment, next_path, set_aside
 from service.pipeline.sieve import Sieve
 
 log = structlog.get_logger(__name__)
@@ -223,7 +223,7 @@ class SqliteLog:
         if newest.size_bytes() < self._segment_bytes:
             return newest
         with self._guard:
-            segment = Segment(_next_path(newest.path), self._last)
+            segment = Segment(next_path(newest.path), self._last)
             self._segments.append(segment)
         _seal(newest)
         return segment
@@ -233,21 +233,23 @@ class SqliteLog:
     def read(self, sensor_id: str, after: int, limit: int) -> list[tuple[int, Record]]:
         """Return up to `limit` records with positions above `after`, in order.
 
-        A damaged record stands there as such, is logged and counted. Raises StorageError when a file cannot
-        be read.
+        A damaged record stands there as such, is logged and counted. Raises StorageError when a file is
+        damaged or the log closed, Unavailable when a file cannot be read for now.
         """
         found: list[tuple[int, bytes]] = []
+        at: Segment | None = None
         with self._guard:
             segments = [
                 s for s in self._segments if sensor_id in s.extents and s.extents[sensor_id].last > after
             ]
-        for segment in segments:
-            try:
-                found += segment.read(sensor_id, after, limit - len(found))
-            except sqlite3.Error as error:
-                raise StorageError(f"the log file {segment.path.name} cannot be read: {error}") from error
+            followed = [s for s in self._segments if sensor_id in s.followers]
+        for at in segments:
+            found += at.read(sensor_id, after, limit - len(found))
             if len(found) >= limit:
                 break
+        for segment in followed:
+            if segment is not at:
+                segment.leave(sensor_id)
         return [(position, self.sieve.record(sensor_id, position, body)) for position, body in found]
 
     @property
@@ -281,12 +283,13 @@ class SqliteLog:
         return self._waiting_records
 
     def oldest_us(self) -> int | None:
-        """Return when the oldest record that is kept was received, None for an empty log."""
-        with self._guard:
+        """Return when the oldest record was received, None when there is none or it is not read for now."""
+        with self._guard, suppress(Unavailable):
             oldest = self._segments[0]
             if oldest.begun_us is None and not self._closing and (body := oldest.first_body()) is not None:
                 oldest.begun_us = record_time_us(body)
             return oldest.begun_us
+        return None
 
     def _size_bytes(self) -> int:
         return sum(segment.size_bytes() for segment in self._segments)
@@ -327,6 +330,7 @@ class SqliteLog:
             segment.purge(sensor_id)
             with self._guard:
                 segment.extents.pop(sensor_id, None)
+            segment.leave(sensor_id)
 
     def _drop_released(self) -> None:
         while len(self._segments) > 1 and self._size_bytes() > self._limits.total_bytes - self._segment_bytes:
@@ -375,10 +379,6 @@ class SqliteLog:
 def _seal(segment: Segment) -> None:
     with suppress(sqlite3.Error):  # no room for it: the write-ahead file stays, nothing is lost
         segment.seal()
-
-
-def _next_path(path: Path) -> Path:
-    return path.with_name(f"segment-{int(path.name[8:16]) + 1:08d}.sqlite")
 
 
 def _as_unavailable(error: Exception, retry_after_s: float) -> WaysideError:

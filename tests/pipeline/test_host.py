@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import math
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -14,13 +15,17 @@ import structlog
 from sqlalchemy import Engine, delete, update
 
 from service.errors import NotFound, StorageError, Unavailable
+from service.formats.columnar import encode_frame
 from service.formats.tracks import stored_line
 from service.pipeline import flushing, folding, tracker_thread
+from service.pipeline.channel import open_channel
 from service.pipeline.door import Outcome
 from service.pipeline.fold import TICK_US
 from service.pipeline.folding import TICK_GRACE_US
 from service.pipeline.host import EmbeddedHost
 from service.pipeline.offline import track
+from service.pipeline.records import FrameRecord
+from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from service.settings import Settings
 from service.storage import migrate
 from service.storage.database import connection as reading
@@ -31,7 +36,7 @@ from service.storage.sites import create_sensor, update_sensor
 from service.storage.states import stream_states
 from service.storage.tables import snapshots
 from service.storage.tracks import save_blocks, save_summaries
-from service.telemetry import set_up_logging
+from service.telemetry import Telemetry, set_up_logging
 from tests.pipeline import simple_tracker
 from tests.pipeline.hosts import (
     caught_up,
@@ -357,6 +362,42 @@ def test_one_failing_sensor_does_not_stop_the_others(running, database):
 
     assert failures["radar-2"] is None
     assert failures["radar-1"] == "record 4: ZeroDivisionError: made up"
+
+
+def test_a_sensor_waits_while_its_log_cannot_be_read_and_goes_on_by_itself(database, tmp_path):
+    log = SqliteLog(tmp_path / "log", LogLimits(segment_bytes=65_536, free_share=0.0))
+    channel = open_channel(database, log, CONFIG, simple_tracker, now_us=START_US, now_s=0.0)
+    frames = [FrameRecord(one, 0, encode_frame(one)) for one in recording(200)]
+    for first in range(0, 200, 20):
+        log.append("radar-1", frames[first : first + 20])
+    assert log.file_count() > 2
+    views = SimpleNamespace(show=lambda *_, **__: None, gone=lambda _: None)
+    fold = folding.Folding(
+        database, log, views, simple_tracker, Telemetry(), pace=folding.Pace(), clock_us=lambda: START_US
+    )
+    fold.add(channel)
+    before, now_s = channel.state, time.monotonic()
+    obstacle = tmp_path / "log" / "segment-00000001.sqlite-wal"
+    obstacle.mkdir()
+
+    with structlog.testing.capture_logs() as logs:
+        assert not fold.take_turns()
+        assert channel.read_again_s >= now_s + 1.0  # not again at every turn
+        channel.read_again_s = now_s
+        assert not fold.take_turns()
+        channel.read_again_s = math.inf
+        obstacle.rmdir()
+        assert not fold.take_turns()
+    assert channel.state is before
+    assert channel.failure is None
+    assert [entry["event"] for entry in logs] == ["records not read, will try again"]
+
+    channel.read_again_s = now_s
+    while fold.take_turns():
+        pass
+    assert channel.state.position == log.last_position("radar-1") == 200
+    assert channel.failure is None
+    log.close()
 
 
 def test_a_damaged_record_leaves_an_event_and_holds_nobody_up(running, database, tmp_path):

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import os
+import resource
 import sqlite3
 import subprocess
 import sys
 import threading
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from service.formats.columnar import encode_frame
 from service.pipeline.codec import decode_record, encode_record
 from service.pipeline.log_reader import LogReader
 from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, TickRecord
-from service.pipeline.segments import open_to_read
+from service.pipeline.segments import not_read, open_to_read
 from service.pipeline.sqlite_log import LogLimits, SqliteLog
 from tests.pipeline.recordings import frame, recording, records
 
@@ -290,6 +292,131 @@ def test_a_file_that_was_dropped_is_passed_over_by_who_follows_the_log(small_log
     assert [at for at, _ in first] == [1]
     assert 1 < found[0][0] < 25
     assert found[-1][0] == 25
+
+
+def test_a_backlog_holds_the_one_full_file_open_from_which_it_is_read(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    names = sorted(path.name for path in tmp_path.glob("segment-*.sqlite"))
+    held = []
+    for position in range(25):
+        assert [at for at, _ in small_log.read("radar-1", position, 1)] == [position + 1]
+        held.append(open_segments(tmp_path))
+
+    assert len(names) > 2
+    assert held[0] == [names[0], names[-1]]
+    assert max(map(len, held)) == 2
+    assert held[-1] == names[-1:]
+
+
+@pytest.mark.parametrize(
+    "go_on",
+    [
+        lambda log: log.read("radar-1", 24, 1),
+        lambda log: log.read("radar-1", 25, 1),
+        lambda log: log.purge("radar-1"),
+    ],
+    ids=["read elsewhere", "read through", "purged"],
+)
+def test_a_full_file_is_let_go_of_when_its_reader_is_elsewhere(small_log, tmp_path, go_on):
+    append_all(small_log, big_records(25))
+    small_log.read("radar-1", 0, 1)
+    assert len(open_segments(tmp_path)) == 2
+
+    go_on(small_log)
+
+    assert open_segments(tmp_path) == [max(path.name for path in tmp_path.glob("segment-*.sqlite"))]
+
+
+@contextmanager
+def obstacle_beside(path):
+    """What SQLite would put beside the file cannot be made, as on a full disk."""
+    beside = path.with_name(f"{path.name}-wal")
+    beside.mkdir()
+    try:
+        yield
+    finally:
+        beside.rmdir()
+
+
+@contextmanager
+def no_descriptor_left(_path):
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    free = os.open(os.devnull, os.O_RDONLY)
+    os.close(free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@pytest.mark.parametrize("fault", [obstacle_beside, no_descriptor_left])
+def test_a_full_file_that_cannot_be_opened_for_now_is_read_later(small_log, tmp_path, fault):
+    append_all(small_log, big_records(25))
+    reader = LogReader(tmp_path)
+    with fault(min(tmp_path.glob("segment-*.sqlite"))):
+        with pytest.raises(Unavailable, match="cannot be read"):
+            small_log.read("radar-1", 0, 4)
+        with pytest.raises(Unavailable, match="cannot be read"):
+            reader.read("radar-1", 0, 4)
+        assert small_log.oldest_us() is None
+
+    assert [at for at, _ in small_log.read("radar-1", 0, 4)] == [1, 2, 3, 4]
+    assert [at for at, _ in reader.read("radar-1", 0, 4)] == [1, 2, 3, 4]
+    assert small_log.oldest_us() == 0
+    reader.close()
+
+
+def test_a_full_file_that_was_damaged_is_an_error_and_held_open_by_nobody(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    oldest, *_, newest = sorted(tmp_path.glob("segment-*.sqlite"))
+    oldest.write_bytes(b"no database at all, but text" * 1000)
+    reader = LogReader(tmp_path)
+
+    with pytest.raises(sqlite3.DatabaseError) as raised:  # which keeps the frames in which a file was opened
+        open_to_read(oldest)
+    with pytest.raises(StorageError, match="cannot be read") as here:
+        small_log.read("radar-1", 0, 4)
+    with pytest.raises(StorageError, match="cannot be read") as elsewhere:
+        reader.read("radar-1", 0, 4)
+
+    assert open_segments(tmp_path) == [newest.name]
+    del raised, here, elsewhere
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        (sqlite3.SQLITE_FULL, Unavailable),
+        (sqlite3.SQLITE_IOERR_SHMSIZE, Unavailable),
+        (sqlite3.SQLITE_CANTOPEN_FULLPATH, Unavailable),
+        (sqlite3.SQLITE_IOERR_READ, StorageError),  # the disk has lost it: waiting would help nobody
+        (sqlite3.SQLITE_IOERR_CORRUPTFS, StorageError),
+        (sqlite3.SQLITE_CORRUPT_INDEX, StorageError),
+        (sqlite3.SQLITE_NOTADB, StorageError),
+        (None, StorageError),
+    ],
+)
+def test_only_a_fault_that_may_pass_is_waited_for(code, kind):
+    error = sqlite3.OperationalError("made up")
+    if code is not None:
+        error.sqlite_errorcode = code
+
+    assert type(not_read(Path("segment-00000001.sqlite"), error)) is kind
+
+
+def test_a_closed_log_is_not_read_and_leaves_its_folder_alone(small_log, tmp_path):
+    append_all(small_log, big_records(25))
+    small_log.close()
+    files = sorted(tmp_path.iterdir())
+
+    with pytest.raises(StorageError, match="closed"):
+        small_log.read("radar-1", 0, 1)
+    with pytest.raises(StorageError, match="closed"):
+        small_log.purge("radar-1")
+    assert small_log.oldest_us() is None
+    assert sorted(tmp_path.iterdir()) == files
+    assert open_segments(tmp_path) == []
 
 
 def test_the_size_of_the_log_is_told_while_a_tracker_lets_go_of_a_file(small_log, tmp_path, monkeypatch):
