@@ -139,7 +139,7 @@ def _shadowed(mean: F64, cov: F64, heading: F64, length: F64, width: F64, status
     out = np.zeros(n, dtype=np.bool_)
     for i in range(n):
         for j in range(n):
-            if status[j] != _TENTATIVE and g[j] + depth[j] < g[i] - depth[i] + 1.0:
+            if j != i and status[j] != _TENTATIVE and g[j] + depth[j] < g[i] - depth[i] + 1.0:
                 if abs(bearing[i] - bearing[j]) < half[j] + reach[i]:
                     out[i] = True
                     break

@@ -56,6 +56,15 @@ def in_shadow(aside_m, *, std_m, status=TrackStatus.CONFIRMED):
     return bool(hidden[1])
 
 
+def test_a_small_vehicle_is_not_in_its_own_shadow():
+    mean, cov = np.array([[0.0, 12.0, 0.0, 40.0, 0.0, 0.0]]), np.zeros((1, 6, 6))
+    confirmed, side_on, width_m = np.array([TrackStatus.CONFIRMED], np.uint8), np.array([np.pi / 2]), 0.9
+    args = mean, cov, side_on, np.array([2.2]), np.array([width_m]), confirmed
+
+    assert not existence._shadowed.py_func(*args).any()
+    assert not existence._shadowed(*args).any()
+
+
 def test_a_vehicle_that_may_well_lie_in_a_shadow_is_taken_to():
     assert in_shadow(2.0, std_m=0.1)
     assert not in_shadow(3.0, std_m=0.1)
