@@ -94,6 +94,23 @@ def impurities(source: str) -> list[str]:
     return found
 
 
+def _calls(node: ast.AST) -> set[str]:
+    return {c.func.id for c in ast.walk(node) if isinstance(c, ast.Call) and isinstance(c.func, ast.Name)}
+
+
+def nested_kernel_parts(source: str) -> list[str]:
+    """Return the calls of a kernel's part (`tracking.kernel.part`) from another part: slow to compile."""
+    functions = [node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)]
+    of_kernels = {
+        one.name: _calls(one) for one in functions if "part" in map(ast.unparse, one.decorator_list)
+    }
+    return [
+        f"{name} calls {', '.join(sorted(calls & of_kernels.keys()))}"
+        for name, calls in of_kernels.items()
+        if calls & of_kernels.keys()
+    ]
+
+
 def modules(parts: set[str] | None = None) -> list[Path]:
     files = [path for path in sorted(SERVICE.rglob("*.py")) if path != SERVICE / "__init__.py"]
     return [path for path in files if parts is None or part_of(path) in parts]
@@ -113,6 +130,16 @@ def test_the_core_has_no_clock_no_randomness_and_no_files():
     found = {str(p.relative_to(ROOT)): impurities(p.read_text()) for p in modules(PURE)}
 
     assert {file: problems for file, problems in found.items() if problems} == {}
+
+
+def test_no_part_of_a_kernel_calls_another():
+    found = {str(p.relative_to(ROOT)): nested_kernel_parts(p.read_text()) for p in modules(PURE)}
+    assert {file: calls for file, calls in found.items() if calls} == {}
+
+
+def test_a_part_of_a_kernel_that_calls_another_is_found():
+    source = "@part\ndef a(): ...\n@part\ndef b(): a()\n@kernel\ndef c(): b()"
+    assert nested_kernel_parts(source) == ["b calls a"]
 
 
 def test_no_source_file_is_too_long():

@@ -63,10 +63,9 @@ def cell_of(points: F64, k: int, cells: tuple[float, ...]) -> tuple[int, int]:
 
 
 @part
-def look_up(occupancy: F32, points: F64, k: int, cells: tuple[float, ...]) -> float:
-    """Return the largest occupancy in the 3 x 3 cells around a point."""
+def look_up(occupancy: F32, i: int, j: int) -> float:
+    """Return the largest occupancy in the 3 x 3 cells around a cell, 0 where that is off the map."""
     rows, columns = occupancy.shape
-    i, j = cell_of(points, k, cells)
     best = 0.0
     if i < 0 or j < 0 or i >= rows or j >= columns:
         return best
@@ -80,7 +79,8 @@ def look_up(occupancy: F32, points: F64, k: int, cells: tuple[float, ...]) -> fl
 def _occupancy_at(occupancy: F32, points: F64, cells: tuple[float, ...]) -> F64:
     out = np.empty(len(points))
     for k in range(len(points)):
-        out[k] = look_up(occupancy, points, k, cells)
+        i, j = cell_of(points, k, cells)
+        out[k] = look_up(occupancy, i, j)
     return out
 
 
@@ -92,7 +92,8 @@ def _sort(
     standing_mps, slow_mps, ignored, no_birth = limits
     for k in range(len(points)):
         speed = abs(points[k, PV])  # not slow where it is unknown: a comparison with NaN is false
-        here = look_up(occupancy, points, k, cells)
+        i, j = cell_of(points, k, cells)
+        here = look_up(occupancy, i, j)
         sorted_out[1, k] = speed < standing_mps
         sorted_out[0, k] = not (sorted_out[1, k] and here > ignored)
         sorted_out[2, k] = speed < slow_mps and here > no_birth

@@ -14,6 +14,8 @@ import numpy as np
 from service.tracking.kernel import kernel, part, ready
 from service.tracking.model import F64, I64, Bool
 
+_NUMBERED = 100_000  # cells of a row at most, so that one number names a cell
+
 
 @dataclass(frozen=True, slots=True)
 class RoadMapParameters:
@@ -52,17 +54,13 @@ class RoadMap:
 
 def empty_road_map(p: RoadMapParameters) -> RoadMap:
     """Return a map on which nobody has driven."""
-    shape = (int(2 * p.reach_x_m / p.cell_x_m), int(p.reach_y_m / p.cell_y_m))
+    shape = _shape(p)
     return RoadMap(np.zeros(shape), np.zeros(shape), np.zeros(shape), 0.0)
 
 
-def cell_of(x_m: F64, y_m: F64, p: RoadMapParameters) -> tuple[I64, I64, Bool]:
-    """Return the cell of each place and whether it lies on the grid."""
-    i = np.floor((x_m + p.reach_x_m) / p.cell_x_m).astype(np.int64)
-    j = np.floor(y_m / p.cell_y_m).astype(np.int64)
-    n_x, n_y = int(2 * p.reach_x_m / p.cell_x_m), int(p.reach_y_m / p.cell_y_m)
-    inside = (i >= 0) & (j >= 0) & (i < n_x) & (j < n_y)
-    return np.minimum(np.maximum(i, 0), n_x - 1), np.minimum(np.maximum(j, 0), n_y - 1), inside
+def _shape(p: RoadMapParameters) -> tuple[int, int]:
+    """Return how many cells the grid has across and along the view."""
+    return int(2 * p.reach_x_m / p.cell_x_m), int(p.reach_y_m / p.cell_y_m)
 
 
 def teach(road: RoadMap, x_m: F64, y_m: F64, heading_rad: F64, first: int, p: RoadMapParameters) -> RoadMap:
@@ -79,11 +77,13 @@ def _grid(p: RoadMapParameters) -> tuple[float, float, float]:
     return p.reach_x_m, p.cell_x_m, p.cell_y_m
 
 
-@part
-def cell_at(x_m: float, y_m: float, where: tuple[float, ...]) -> tuple[int, int]:
+def cell_of(x_m: float, y_m: float, where: tuple[float, ...]) -> tuple[int, int]:
     """Return the cell of a place, which may lie off the grid."""
     reach_x, cell_x, cell_y = where
     return math.floor((x_m + reach_x) / cell_x), math.floor(y_m / cell_y)
+
+
+cell_at = part(cell_of)  # the same for the kernels
 
 
 def fresh_places(places: F64, teach: Bool, cell: I64, road: RoadMap, p: RoadMapParameters) -> F64:
@@ -106,9 +106,10 @@ def _fresh_places(
             if not teach[i]:
                 continue
             a, b = cell_at(places[which, i, 0], places[which, i, 1], where)
-            if not (0 <= a < rows and 0 <= b < columns) or a * 100_000 + b == cell[i]:
+            number = a * _NUMBERED + b
+            if not (0 <= a < rows and 0 <= b < columns) or number == cell[i]:
                 continue
-            cell[i] = a * 100_000 + b
+            cell[i] = number
             for c in range(3):
                 out[found, c] = places[which, i, c]
             found += 1
@@ -150,9 +151,11 @@ def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
     before = start - back * np.array([math.sin(first_heading), math.cos(first_heading)])
     place = np.concatenate([before, place])
     heading = np.concatenate([np.full(len(before), first_heading), heading])
-    i, j, inside = cell_of(place[:, 0], place[:, 1], p)
-    _, first = np.unique(i * 100_000 + j, return_index=True)
-    first = np.sort(first[inside[first]])
+    where = _grid(p)
+    cell = np.array([cell_of(x, y, where) for x, y in place.tolist()])
+    nearest = np.clip(cell, 0, np.array(_shape(p)) - 1)  # on the grid
+    _, first = np.unique(nearest @ [_NUMBERED, 1], return_index=True)
+    first = np.sort(first[(cell == nearest).all(axis=1)[first]])
     return np.asarray(np.column_stack([place, heading])[first])
 
 
