@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 from sqlalchemy import Engine
 
-from service.errors import NotFound, Unavailable
+from service.errors import NotFound, Unavailable, WaysideError
 from service.formats.columnar import points_digest
 from service.formats.sensor import SensorConfig
 from service.pipeline.blame import Blame, BlameBook, PlaceFile
@@ -288,7 +288,12 @@ class EmbeddedHost:
             doorway.set_aside = frozenset(blame.digests)
 
     def _digest_at(self, sensor_id: str, position: int) -> int | None:
-        frames = (record for _, record in self._log().read(sensor_id, position - 1, 1))
+        try:
+            found = self._log().read(sensor_id, position - 1, 1)
+        except WaysideError as error:  # the tracker shall be started again all the same
+            _log.warning("frame not remembered", sensor_id=sensor_id, position=position, reason=str(error))
+            return None
+        frames = (record for _, record in found)
         return next((points_digest(one.frame) for one in frames if isinstance(one, FrameRecord)), None)
 
     def _on_durable(self, positions: dict[str, int]) -> None:

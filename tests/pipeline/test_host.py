@@ -400,6 +400,22 @@ def test_a_sensor_waits_while_its_log_cannot_be_read_and_goes_on_by_itself(datab
     log.close()
 
 
+def test_a_record_is_set_aside_although_its_log_cannot_be_read(running, tmp_path):
+    frames = recording(60)
+    with running(log_segment_bytes=65_536) as host:
+        for first in range(0, 60, 20):
+            submit(host, frames[first : first + 20])
+        wait_until(lambda: caught_up(host))
+        assert host._frame_log.file_count() > 2
+        obstacle = tmp_path / "log" / "segment-00000002.sqlite-wal"  # the first one holds the configuration
+        obstacle.mkdir()
+        deaths = [host._blames.died_at("radar-1", 2) for _ in range(3)]
+        obstacle.rmdir()
+
+        assert deaths == [False, False, True]
+        assert host._blames.of("radar-1").digests == []
+
+
 def test_a_damaged_record_leaves_an_event_and_holds_nobody_up(running, database, tmp_path):
     with running() as host:
         submit(host, recording(10))
