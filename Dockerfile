@@ -4,6 +4,8 @@ FROM python:${PYTHON}-slim AS build
 ARG PYTHON
 WORKDIR /src
 COPY . .
+# Byte code comes with the packages: who runs them may not write it, and each start would make it anew.
+ENV UV_COMPILE_BYTECODE=1
 RUN scripts/uv venv --quiet --python "python${PYTHON}" /opt/wayside \
     && scripts/uv pip install --quiet --python /opt/wayside/bin/python --require-hashes -r requirements.lock \
     && scripts/uv pip install --quiet --python /opt/wayside/bin/python --no-deps \

@@ -30,6 +30,12 @@ def test_the_image_runs_as_an_ordinary_user_from_its_last_stage():
     assert last_stage.index("USER wayside") < last_stage.index("service.warmup")
 
 
+def test_the_image_brings_the_byte_code_that_its_user_may_not_write():
+    first_stage = (ROOT / "Dockerfile").read_text().split("\nFROM ")[1]
+
+    assert first_stage.index("\nENV UV_COMPILE_BYTECODE=1\n") < first_stage.index("pip install")
+
+
 def test_the_unit_starts_wayside_in_a_state_directory():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
