@@ -55,9 +55,15 @@ def confirm(  # noqa: PLR0913, PLR0917 - the state, what is new, and what it is 
 def judged(
     found: Sequence[LaneChange], everybody: Samples, lanes: LaneMap, now_us: int, p: ChangeParameters
 ) -> tuple[LaneChange, ...]:
-    """Return those of the changes found that are likely; everybody: samples of all tracks at their times."""
+    """Return those of the changes found that are likely; everybody: samples of all tracks at their times.
+
+    From and to ways through a junction there are none: those lie upon one another and part, and each vehicle
+    that turns would seem to change where they do.
+    """
     told = []
     for change in found:
+        if any((lane := lanes.lane(k)) and lane.kind == "turn" for k in (change.from_lane, change.to_lane)):
+            continue
         traits = traits_of(change, lanes, everybody)
         if traits is not None and probability(traits) >= p.least_probability:
             speed = traits.speed_mps if np.isnan(change.speed_mps) else change.speed_mps

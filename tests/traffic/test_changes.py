@@ -115,6 +115,18 @@ def test_a_change_of_a_track_that_ends_is_judged_by_what_was_seen():
     assert state.ended == ()
 
 
+@pytest.mark.parametrize("turning", [0, 1])
+def test_from_and_to_ways_through_a_junction_nobody_changes_lanes(turning):
+    lanes = tuple(
+        dataclasses.replace(one, kind="turn" if k == turning else "lane") for k, one in enumerate(LANES.lanes)
+    )
+    junction, samples = dataclasses.replace(LANES, lanes=lanes), path(1, ramp(3.0))
+
+    state, told = confirm(no_changes(), [CHANGE], followed(samples), (), junction, START_US + 2_000_000, P)
+
+    assert (state.pending, told) == ((), ())
+
+
 def test_the_depth_is_numpys_quantile_to_the_bit():
     rng = np.random.default_rng(3)
     for count in range(1, 60):
