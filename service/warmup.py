@@ -20,6 +20,7 @@ from service.tracking.parameters import TrackerParameters
 from service.traffic import monitor
 from service.traffic.crossing_lanes import lanes_at
 from service.traffic.curves import beside
+from service.traffic.line_ways import lane_over
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
 
@@ -66,6 +67,7 @@ def _whole_step() -> None:
     tracker.coast(state, FRAMES * FRAME_US, chosen)
     beside(np.zeros((1, 2)), np.array([[0.0, 0.0], [1.0, 0.0]]))
     lanes_at(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1, dtype=np.int64), traffic.counts.ruler)
+    lane_over(np.zeros(4), traffic.counts.lines, traffic.counts.ruler)
 
 
 def _frame(number: int) -> Frame:

@@ -36,6 +36,7 @@ class CountParameters:
     unseen_least_mps: float = 3.0  # slower ones may have stood
     unseen_apart_m: float = 2.0  # between bumpers of vehicles in a lane, at least ...
     unseen_apart_s: float = 0.6  # ... and between their middles in time
+    unseen_guess_s: float = 1.5  # between two guesses of when one vehicle crossed: three standard deviations
     unseen_across_m: float = 2.5  # beside one another vehicles are farther apart
     unseen_share: float = 0.93  # of such crossings that are real
 

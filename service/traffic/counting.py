@@ -36,7 +36,7 @@ from service.traffic.records import (
     record_of,
 )
 from service.traffic.stitching import Vehicles, join, no_vehicles
-from service.traffic.unseen import settled, unseen
+from service.traffic.unseen import Observed, UnseenState, unseen
 from service.traffic.window import Scan, remember, scan_of
 
 OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
@@ -59,13 +59,14 @@ class CountState:
     ruler: Ruler
     cells: tuple[MinuteCells, ...]
     crossings: int  # given out in this epoch
-    waiting: tuple[Crossing, ...] = ()  # that nobody saw, until it is sure that nobody else was meant
-    since_us: int = 0  # of the first frame after the last stretch without any
+    unseen: UnseenState = UnseenState()  # noqa: RUF009 - it cannot be changed
+    until_us: int = 0  # of the last frame before the last stretch without any
+    since_us: int = 0  # ... and of the first one after it
 
     @property
     def idle(self) -> bool:
         """True when the passing of time alone gives nothing more out."""
-        return self.coverage.told and not self.states.pending and not self.waiting
+        return self.coverage.told and not self.states.pending and not self.unseen.waiting
 
 
 def nothing_counted() -> CountState:
@@ -91,20 +92,19 @@ def count(
     if not moment.tick:
         if coverage.last_us is None or now_us - coverage.last_us > p.blind_s * 1e6:
             # who drove since the last frame was not seen
-            waiting = tuple(x for x in state.waiting if x.time_us <= (coverage.last_us or 0))
-            state = replace(state, leaders=(), since_us=now_us, waiting=waiting)
+            state = replace(state, leaders=(), until_us=coverage.last_us or 0, since_us=now_us)
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
     mapped: tuple[MinuteBlock, ...] = state.blocks
     relabelled_blocks: tuple[MinuteBlock, ...] = ()
     if ruler is not state.ruler and lanes.lanes:
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    waiting = state.waiting + unseen(
-        state.vehicles, state.states, joined, states, View(window, state.lines, p), ruler, mapped,
-        state.since_us,
+    observed = Observed(state.until_us, state.since_us, coverage.last_us or 0)
+    others, beyond = unseen(
+        state.unseen, state.vehicles, state.states, joined, states, View(window, state.lines, p), ruler,
+        mapped, found, observed,
     )  # fmt: skip
-    if waiting:
-        waiting, beyond = settled(waiting, mapped, found, now_us, coverage.last_us or 0, p)
+    if beyond:
         found = tuple(sorted((*found, *beyond), key=lambda x: (x.time_us, x.track)))
     crossings, leaders = _followed(found, state, ruler, p)
     blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
@@ -112,7 +112,8 @@ def count(
     state = CountState(
         lines=state.lines, placed_on=state.placed_on, vehicles=joined.vehicles, states=states, window=window,
         leaders=leaders, blocks=blocks, coverage=coverage, ruler=ruler, cells=cells,
-        crossings=state.crossings + len(crossings), since_us=state.since_us, waiting=waiting,
+        crossings=state.crossings + len(crossings), unseen=others,
+        until_us=state.until_us, since_us=state.since_us,
     )  # fmt: skip
     state, received, sums = _told(state, moment)
     return state, Counts(crossings, grown, received, sums)
@@ -134,7 +135,7 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
         return state
     lines = drawn or place_lines(lanes, p)
     states = no_line_states(len(state.vehicles), len(lines))
-    return replace(state, lines=lines, placed_on=across, states=states, leaders=(), waiting=())
+    return replace(state, lines=lines, placed_on=across, states=states, leaders=(), unseen=UnseenState())
 
 
 def _followed(

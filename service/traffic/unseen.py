@@ -5,22 +5,23 @@ ends too early. But vehicles neither come from nowhere nor vanish: on a lane tha
 between junctions, who drives behind the line must have crossed it. Such a crossing is told where the line is
 no more than a few seconds away along the lane at the vehicle's own speed, in time that was observed, and when
 nobody was counted at that place and moment: the vehicle may have been followed before, as another track.
+Nor is it told of a vehicle lost before a line where one is found later, or stands, between: it may be the
+same one, or the lane is held up.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.tracking.model import F64
 from service.traffic.cells import Ruler
 from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
-from service.traffic.crossings import LineStates, View
-from service.traffic.lines import Line, directions
+from service.traffic.crossings import LineStates, Pending, View
+from service.traffic.line_ways import Way, ways
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Joined, Vehicles
 from service.traffic.window import EXISTENCE, LENGTH, VX, VY, X, Y, past_of, samples_of
@@ -28,21 +29,49 @@ from service.traffic.window import EXISTENCE, LENGTH, VX, VY, X, Y, past_of, sam
 _SAME_LANE_M = 1.75  # from where one vehicle crosses a line to another in its lane
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line
 _SLOW_MPS = 1.0
-_LEAST_COSINE = math.cos(math.radians(30.0))  # between a vehicle's way and its lane
 
 
 @dataclass(frozen=True, slots=True)
-class _Way:
-    """How a vehicle stands to a line along its lane."""
+class Lost:
+    """Where a vehicle was seen last, before a line."""
 
-    ahead_m: float  # to the line, in the direction in which it drives; negative: behind it
-    x_m: float  # where it crosses, or has crossed
-    y_m: float
-    lane: int
-    direction: int
+    time_us: int
+    ahead_m: float  # to the line
+    vx_mps: float
+    vy_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A crossing that nobody saw, until it is sure that nobody else was meant."""
+
+    crossing: Crossing
+    lost: Lost | None  # None: the vehicle was first seen behind the line
+
+
+@dataclass(frozen=True, slots=True)
+class UnseenState:
+    """What waits, and what was told in the last seconds."""
+
+    waiting: tuple[Waiting, ...] = ()
+    told: tuple[Waiting, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Time in which frames came: until `until_us`, and again from `since_us` to `now_us`."""
+
+    until_us: int
+    since_us: int
+    now_us: int
+
+    def holds(self, time_us: int) -> bool:
+        """Return whether a moment of the last seconds was observed."""
+        return time_us <= self.until_us or self.since_us <= time_us <= self.now_us
 
 
 def unseen(  # noqa: PLR0913, PLR0917 - the vehicles before and after, where they stand, and what was told
+    state: UnseenState,
     before: Vehicles,
     stood: LineStates,
     joined: Joined,
@@ -50,72 +79,142 @@ def unseen(  # noqa: PLR0913, PLR0917 - the vehicles before and after, where the
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
-    since_us: int,
-) -> tuple[Crossing, ...]:
-    """Return the crossings that must have been since `since_us`; marks them in `states.counted`.
+    found: Sequence[Crossing],
+    observed: Observed,
+) -> tuple[UnseenState, tuple[Crossing, ...]]:
+    """Return what waits now, and the crossings that must have been, by time; marks in `states.counted`.
 
-    before, stood: the vehicles before this scan; told: the crossings of the last minutes.
+    before, stood: the vehicles before this scan; told: the crossings of the last minutes; found: those that
+    were seen and became certain in this scan.
     """
     if not view.lines or not ruler.lane:
-        return ()
-    found = [
-        *_first_seen(joined, states, view, ruler, told),
-        *_last_seen(before, stood, joined, view, ruler, told),
-    ]
-    return tuple(x for x in found if x.time_us >= since_us)
+        return UnseenState(), ()
+    late_us = view.time_us - _RECENT_US
+    if state.told and state.told[0].crossing.time_us < late_us:
+        state = replace(state, told=tuple(x for x in state.told if x.crossing.time_us >= late_us))
+    fresh = (
+        *_first_seen(joined, states, view, ruler, told, state.told),
+        *_last_seen(before, stood, joined, view, ruler, told, state.told),
+    )
+    waiting = (*state.waiting, *fresh)
+    if not waiting:
+        return state, ()
+    return _settled(
+        replace(state, waiting=waiting), joined.vehicles, states.pending, view, ruler, told, found, observed
+    )
 
 
-def settled(  # noqa: PLR0913, PLR0917 - what waits, what was told, what is known of time
-    waiting: Sequence[Crossing],
+def _settled(  # noqa: PLR0913, PLR0917 - what waits, and all that speaks against it
+    state: UnseenState,
+    vehicles: Vehicles,
+    pending: Sequence[Pending],
+    view: View,
+    ruler: Ruler,
     told: Sequence[MinuteBlock],
     found: Sequence[Crossing],
-    now_us: int,
-    seen_us: int,
-    p: CountParameters,
-) -> tuple[tuple[Crossing, ...], tuple[Crossing, ...]]:
-    """Return what still waits, since others may yet be counted at its place, and what is sure, by time.
-
-    found: the crossings that were seen and became certain now; seen_us: time of the newest frame.
-    """
-    late = [x for x in waiting if now_us - x.time_us >= 1e6 * p.unseen_wait_s]
-    others = list(found)
-    for crossing in sorted(late, key=lambda x: (x.time_us, x.track)):
-        if crossing.time_us <= seen_us and not _told(crossing, told, others, p):
+    observed: Observed,
+) -> tuple[UnseenState, tuple[Crossing, ...]]:
+    """Return what still waits, since others may yet be counted at its place, and what is sure, by time."""
+    p, wait_us = view.parameters, round(1e6 * view.parameters.unseen_wait_s)
+    late = [x for x in state.waiting if view.time_us - x.crossing.time_us >= wait_us]
+    if not late:
+        return state, ()
+    others = [*found, *(x.fitted for x in pending if x.fitted is not None)]
+    sure: list[Waiting] = []
+    for x in sorted(late, key=lambda x: (x.crossing.time_us, x.crossing.track)):
+        if (
+            observed.holds(x.crossing.time_us)
+            and not _told(x.crossing, told, others, p)
+            and not _same_vehicle(x, (*state.told, *sure), p)
+            and not _held_up(x, vehicles, view, ruler)
+        ):
+            crossing = replace(x.crossing, frame=_frame_at(x.crossing, view))
+            sure.append(replace(x, crossing=crossing))
             others.append(crossing)
-    return tuple(x for x in waiting if x not in late), tuple(others[len(found) :])
+    waiting = tuple(x for x in state.waiting if view.time_us - x.crossing.time_us < wait_us)
+    return UnseenState(waiting, (*state.told, *sure)), tuple(x.crossing for x in sure)
 
 
-def _first_seen(
-    joined: Joined, states: LineStates, view: View, ruler: Ruler, told: Sequence[MinuteBlock]
-) -> Iterator[Crossing]:
+def _frame_at(x: Crossing, view: View) -> int:
+    """Return the newest frame at a crossing, as far back as the window goes."""
+    return next((scan.frame for scan in reversed(view.window) if scan.time_us <= x.time_us), x.frame)
+
+
+def _same_vehicle(x: Waiting, others: Iterable[Waiting], p: CountParameters) -> bool:
+    """Return whether one lost before a line and one found behind it may be one: both times are guesses."""
+    return any(
+        (x.lost is None) != (y.lost is None)
+        and (x.crossing.line_id, x.crossing.direction) == (y.crossing.line_id, y.crossing.direction)
+        and math.hypot(y.crossing.x_m - x.crossing.x_m, y.crossing.y_m - x.crossing.y_m) < p.unseen_across_m
+        and abs(y.crossing.time_us - x.crossing.time_us) < 1e6 * p.unseen_guess_s
+        for y in others
+    )
+
+
+def _held_up(x: Waiting, vehicles: Vehicles, view: View, ruler: Ruler) -> bool:
+    """Return whether, between where a vehicle was lost and its line, one was found later or stands."""
+    lost = x.lost
+    if lost is None:
+        return False
+    line = next((k for k, line in enumerate(view.lines) if line.line_id == x.crossing.line_id), -1)
+    real = vehicles.real
+    slow = np.hypot(real[VX], real[VY]) < view.parameters.unseen_least_mps
+    away_m = np.hypot(real[X] - x.crossing.x_m, real[Y] - x.crossing.y_m)
+    near = (vehicles.last_us > lost.time_us) & (away_m <= lost.ahead_m + _SAME_LANE_M)
+    near &= (vehicles.first_us > lost.time_us) | slow
+    for row in np.flatnonzero(near).tolist():
+        state = real[:, row].copy()
+        if slow[row]:
+            state[[VX, VY]] = lost.vx_mps, lost.vy_mps  # which way a standing one goes says its lane
+        for k, way in ways(state, view.lines, ruler):
+            beside = math.hypot(way.x_m - x.crossing.x_m, way.y_m - x.crossing.y_m) < _SAME_LANE_M
+            same_way = k == line and way.direction == x.crossing.direction
+            if same_way and beside and 0.0 < way.ahead_m <= lost.ahead_m:
+                return True
+    return False
+
+
+def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
+    joined: Joined,
+    states: LineStates,
+    view: View,
+    ruler: Ruler,
+    told: Sequence[MinuteBlock],
+    guessed: Sequence[Waiting],
+) -> Iterator[Waiting]:
     """Yield crossings before their birth of the vehicles that have just been followed for long enough."""
     p, v = view.parameters, joined.vehicles
     least_us = round(p.unseen_life_s * 1e6)
     due = (joined.measured >= 0) & (v.last_us - v.first_us >= least_us)
     due &= joined.from_us - v.first_us < least_us
     due &= v.number == v.vehicle  # a vehicle of several pieces was seen before
-    for row in np.flatnonzero(due).tolist():
+    rows = np.flatnonzero(due).tolist()
+    if not rows:
+        return
+    past = past_of(view.window)
+    for row in rows:
         number = int(v.number[row])
-        samples = samples_of(past_of(view.window), (number,), view.time_us)
-        speed = float(np.hypot(samples.real[VX], samples.real[VY]).mean())
-        if speed < p.unseen_least_mps:
+        samples = samples_of(past, (number,), view.time_us)
+        speeds = np.hypot(samples.real[VX], samples.real[VY])
+        speed, existence = float(speeds.mean()), float(samples.real[EXISTENCE].mean())
+        if min(speed, speeds[0]) < p.unseen_least_mps or existence < p.least_existence:
             continue
-        existence = float(samples.real[EXISTENCE].mean())
         pending = {x.line for x in states.pending if x.number == number}
-        for line, way in _ways(samples.real[:, 0], view.lines, ruler):
+        for line, way in ways(samples.real[:, 0], view.lines, ruler):
             if (
                 states.counted[row, line]
                 or line in pending
-                or not -p.unseen_behind_s * speed <= way.ahead_m < 0.0
+                or not -p.unseen_behind_s * speed <= way.ahead_m < p.travel_m
             ):
                 continue
-            there = _speed_there(view.lines[line].line_id, way, view.time_us, told)
+            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, guessed)
             passed_s = float(samples.time_s[0]) + way.ahead_m * _slowness(speed, there)
             states.counted[row, line] = True
-            yield _crossing(
-                view, line, way, round(passed_s * 1e3) * 1000 + view.time_us, number, int(samples.frame[0]),
+            crossing = _crossing(
+                view, line, way, view.time_us + 1e6 * passed_s, number, int(samples.frame[0]),
                 speed if there is None else there, float(samples.real[LENGTH, -1]), existence,
             )  # fmt: skip
+            yield Waiting(crossing, None)
 
 
 def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
@@ -125,7 +224,8 @@ def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
-) -> Iterator[Crossing]:
+    guessed: Sequence[Waiting],
+) -> Iterator[Waiting]:
     """Yield crossings after their last measurement of the vehicles that are given up in this scan."""
     if joined.origin is None or stood.counted.shape[1] != len(view.lines):
         return
@@ -134,31 +234,37 @@ def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
     gone[joined.origin[joined.origin >= 0]] = False
     gone &= before.last_us - before.first_us >= round(p.unseen_life_s * 1e6)
     for row in np.flatnonzero(gone).tolist():
-        x_m, y_m, vx_mps, vy_mps = before.real[:, row].tolist()
+        vx_mps, vy_mps = before.real[[VX, VY], row].tolist()
         speed = math.hypot(vx_mps, vy_mps)
         if speed < p.unseen_least_mps:
             continue
-        state = np.array([x_m, y_m, vx_mps, vy_mps])
-        for line, way in _ways(state, view.lines, ruler):
-            if stood.counted[row, line] or not 0.0 < way.ahead_m <= p.unseen_ahead_s * speed:
+        for line, way in ways(before.real[:, row], view.lines, ruler):
+            if stood.counted[row, line] or not -p.travel_m < way.ahead_m <= p.unseen_ahead_s * speed:
                 continue
-            there = _speed_there(view.lines[line].line_id, way, view.time_us, told)
-            ahead_s = way.ahead_m * _slowness(speed, there)
-            yield _crossing(
-                view, line, way, int(before.last_us[row]) + round(ahead_s * 1e3) * 1000,
+            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, guessed)
+            lost_us = int(before.last_us[row])
+            crossing = _crossing(
+                view, line, way, lost_us + 1e6 * way.ahead_m * _slowness(speed, there),
                 int(before.number[row]), view.window[0].frame, speed if there is None else there, math.nan,
                 1.0, int(before.vehicle[row]),
             )  # fmt: skip
+            yield Waiting(crossing, Lost(lost_us, way.ahead_m, vx_mps, vy_mps))
 
 
-def _speed_there(line_id: str, way: _Way, now_us: int, told: Sequence[MinuteBlock]) -> float | None:
-    """Return the median speed of the last vehicles counted where a vehicle crosses, None without."""
+def _speed_there(
+    line_id: str, way: Way, now_us: int, told: Sequence[MinuteBlock], guessed: Sequence[Waiting]
+) -> float | None:
+    """Return the median speed of the last vehicles that were seen crossing there, None without.
+
+    guessed: told crossings that nobody saw; their speeds are copies.
+    """
+    copies = [x.crossing.track for x in guessed if x.crossing.line_id == line_id]
     speeds: list[tuple[int, float]] = []
     for block in told:
         if block.line_id == line_id and block.minute >= now_us // MINUTE_US - 1:
             table = block.table()
             near = np.hypot(table["x_m"] - way.x_m, table["y_m"] - way.y_m) < _SAME_LANE_M
-            near &= table["direction"] == way.direction
+            near &= (table["direction"] == way.direction) & ~np.isin(table["track"], copies)
             rows = table[near]
             times = (block.minute * MINUTE_US + rows["time_us"].astype(np.int64)).tolist()
             speeds += zip(times, rows["speed_mps"].tolist(), strict=True)
@@ -172,12 +278,12 @@ def _slowness(here_mps: float, there_mps: float | None) -> float:
 
 
 def _crossing(  # noqa: PLR0913, PLR0917 - what is known of it
-    view: View, line: int, way: _Way, time_us: int, track: int, frame: int, speed_mps: float, length_m: float,
-    existence: float, vehicle: int | None = None,
+    view: View, line: int, way: Way, time_us: float, track: int, frame: int, speed_mps: float,
+    length_m: float, existence: float, vehicle: int | None = None,
 ) -> Crossing:  # fmt: skip
     return Crossing(
         line_id=view.lines[line].line_id,
-        time_us=time_us,
+        time_us=round(time_us / 1000) * 1000,  # as it is told
         track=track,
         vehicle=track if vehicle is None else vehicle,
         frame=frame,
@@ -191,99 +297,24 @@ def _crossing(  # noqa: PLR0913, PLR0917 - what is known of it
     )
 
 
-def _ways(state: F64, lines: Sequence[Line], ruler: Ruler) -> Iterator[tuple[int, _Way]]:
-    """Yield each line that the lane of a vehicle leads over, and how the vehicle stands to it.
-
-    state: x_m, y_m, vx_mps, vy_mps and more.
-    """
-    place, way = state[[X, Y]], state[[VX, VY]]
-    nearest: tuple[float, int, float, float, float] | None = None
-    for k in range(len(ruler.lane)):
-        if ruler.turn[k]:
-            continue
-        points = ruler.points_m[ruler.first[k] : ruler.first[k + 1]]
-        along_m, left_m, cosine = _foot(points, place, way)
-        inside = 0.0 <= along_m <= ruler.length_m[k] and abs(left_m) <= ruler.half_width_m[k]
-        if inside and abs(cosine) >= _LEAST_COSINE and (nearest is None or abs(left_m) < abs(nearest[2])):
-            nearest = abs(left_m), k, left_m, along_m, math.copysign(1.0, cosine)
-    if nearest is None:
-        return
-    _, k, left_m, along_m, forward = nearest
-    points = ruler.points_m[ruler.first[k] : ruler.first[k + 1]]
-    for line, met in enumerate(_meets(points, lines)):
-        if met is not None:
-            at_m, x_m, y_m, ux, uy, leftward = met
-            yield (
-                line,
-                _Way(
-                    ahead_m=forward * (at_m - along_m),
-                    x_m=x_m - left_m * uy,
-                    y_m=y_m + left_m * ux,
-                    lane=ruler.lane[k],
-                    direction=1 if leftward * forward > 0 else -1,
-                ),
-            )
-
-
-def _foot(points: F64, place: F64, way: F64) -> tuple[float, float, float]:
-    """Return how far along a polyline a place is and to its left; outside it is below 0 or beyond its length.
-
-    And the cosine between the polyline there and a way.
-    """
-    step = np.diff(points, axis=0)
-    length = np.hypot(step[:, 0], step[:, 1])
-    unit = step / length[:, None]
-    away = place - points[:-1]
-    ahead = (away * unit).sum(axis=1)
-    clipped = np.clip(ahead, 0.0, length)
-    k = int(np.argmin(((away - clipped[:, None] * unit) ** 2).sum(axis=1)))
-    ends = (k == 0 and ahead[0] < 0) or (k == len(step) - 1 and ahead[-1] > length[-1])
-    along = float(length[:k].sum() + (ahead[k] if ends else clipped[k]))
-    left = float(unit[k, 0] * away[k, 1] - unit[k, 1] * away[k, 0])
-    speed = max(float(np.hypot(way[0], way[1])), 1e-9)
-    return along, left, float(unit[k] @ way) / speed
-
-
-def _meets(
-    points: F64, lines: Sequence[Line]
-) -> Iterator[tuple[float, float, float, float, float, float] | None]:
-    """Yield for each line where a polyline first goes over it: along, x, y, unit vector, to the left."""
-    step = np.diff(points, axis=0)
-    length = np.hypot(step[:, 0], step[:, 1])
-    x0, y0, ux, uy = directions(tuple(lines))
-    for line in range(len(lines)):
-        dx, dy = points[:, 0] - x0[line], points[:, 1] - y0[line]
-        side = ux[line] * dy - uy[line] * dx
-        over = np.flatnonzero((side[:-1] >= 0) != (side[1:] >= 0))
-        met = None
-        for k in over.tolist():
-            share = side[k] / (side[k] - side[k + 1])
-            x, y = points[k] + share * step[k]
-            if 0.0 <= ux[line] * (x - x0[line]) + uy[line] * (y - y0[line]) <= lines[line].length_m:
-                at = float(length[:k].sum() + share * length[k])
-                unit = step[k] / length[k]
-                met = at, float(x), float(y), float(unit[0]), float(unit[1]), float(side[k + 1] - side[k])
-                break
-        yield met
-
-
 def _told(x: Crossing, told: Sequence[MinuteBlock], also: Sequence[Crossing], p: CountParameters) -> bool:
     """Return whether a vehicle was counted at that place and moment: nearer than their lengths allow."""
-    mine = passing_s(x.length_m, x.speed_mps, p)
-    apart_s = p.unseen_apart_m / x.speed_mps
-
-    def same(time_us: float, x_m: float, y_m: float, direction: int, length_m: float) -> bool:
-        least_s = apart_s + (mine + passing_s(length_m, x.speed_mps, p)) / 2
-        near = abs(time_us - x.time_us) / 1e6 < max(least_s, p.unseen_apart_s)
-        return near and direction == x.direction and math.hypot(x_m - x.x_m, y_m - x.y_m) < p.unseen_across_m
-
-    if any(same(y.time_us, y.x_m, y.y_m, y.direction, y.length_m) for y in also if y.line_id == x.line_id):
-        return True
+    others = [
+        (y.time_us, y.length_m)
+        for y in also
+        if (y.line_id, y.direction) == (x.line_id, x.direction)
+        and math.hypot(y.x_m - x.x_m, y.y_m - x.y_m) < p.unseen_across_m
+    ]
     for block in told:
         if block.line_id == x.line_id and abs(block.minute - x.time_us // MINUTE_US) <= 1:
-            for row in block.table():
-                time_us = block.minute * MINUTE_US + int(row["time_us"])
-                length_m = float(row["length_m"])
-                if same(time_us, float(row["x_m"]), float(row["y_m"]), int(row["direction"]), length_m):
-                    return True
-    return False
+            table = block.table()
+            near = np.hypot(table["x_m"] - x.x_m, table["y_m"] - x.y_m) < p.unseen_across_m
+            rows = table[near & (table["direction"] == x.direction)]
+            times_us = block.minute * MINUTE_US + rows["time_us"].astype(np.int64)
+            others += zip(times_us.tolist(), rows["length_m"].tolist(), strict=True)
+    mine_s, apart_s = passing_s(x.length_m, x.speed_mps, p), p.unseen_apart_m / x.speed_mps
+    return any(
+        abs(time_us - x.time_us)
+        < 1e6 * max(apart_s + (mine_s + passing_s(length_m, x.speed_mps, p)) / 2, p.unseen_apart_s)
+        for time_us, length_m in others
+    )
