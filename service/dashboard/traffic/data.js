@@ -79,11 +79,11 @@ export async function readFlow(sensorId, window) {
  * Return the rows of intervals that have ended, or of the one that runs where there is no other: what was
  * counted in its first seconds is no rate of flow yet, and reads as if the traffic had stopped.
  * @param {FlowRow[]} rows
- * @param {number} newestMs time of the newest frame
+ * @param {number} nowMs
  * @returns {FlowRow[]}
  */
-export function ended(rows, newestMs) {
-  const over = rows.filter((row) => Date.parse(row.end) <= newestMs || !row.quality.includes("partial"));
+export function ended(rows, nowMs) {
+  const over = rows.filter((row) => Date.parse(row.end) <= nowMs || !row.quality.includes("partial"));
   return over.length > 0 ? over : rows;
 }
 

@@ -88,7 +88,8 @@ async function refresh() {
       readStates(sensorId, diagram),
     ]);
     if (turn !== asked) return;
-    [rows, lanes, states] = [ended(flow, newestMs), map, lines];
+    // A sensor that fell silent, or a recording, is behind the clock: its last interval has ended, too.
+    [rows, lanes, states] = [ended(flow, Math.max(newestMs, Date.now())), map, lines];
     tell("");
     showWindow(window, rows.length < flow.length);
     showLines();
