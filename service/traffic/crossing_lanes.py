@@ -33,23 +33,25 @@ def way_across(line: Line, direction: int) -> F64:
     return np.array([-dy, dx]) * direction / math.hypot(dx, dy)
 
 
-def lanes_at(place_m: F64, way: F64, lane: I64, ruler: Ruler) -> I64:
+def lanes_at(place_m: F64, way: F64, lane: I64, ruler: Ruler, *, stay: bool = False) -> I64:
     """Return the lane (N,) of places (N, 2) on lines: the nearest that goes that way, else the one it had.
 
-    way: (N, 2) unit vectors across the lines; lane: (N,) that the vehicles had.
+    way: (N, 2) unit vectors across the lines; lane: (N,) that the vehicles had; stay: it keeps those that lie
+    inside of it.
     """
     found = lane.copy()
     _lanes_at(
         place_m, way, found, np.array(ruler.lane, dtype=np.int64), ruler.first, ruler.points_m,
-        ruler.half_width_m, ruler.turn,
+        ruler.half_width_m, ruler.turn, stay,
     )  # fmt: skip
     return found
 
 
 @kernel
 def _lanes_at(  # noqa: PLR0913, PLR0917 - arrays are a kernel's language
-    place: F64, way: F64, found: I64, index: I64, first: I64, points: F64, half_width: F64, turn: Bool
-) -> None:
+    place: F64, way: F64, found: I64, index: I64, first: I64, points: F64, half_width: F64, turn: Bool,
+    stay: bool,  # noqa: FBT001 - a kernel has no names for its arguments
+) -> None:  # fmt: skip
     """Write the lane of each place over the one that its vehicle had."""
     for i in range(len(place)):
         lane, best, nearest, mine = found[i], NO_LANE, math.inf, math.inf
@@ -59,7 +61,7 @@ def _lanes_at(  # noqa: PLR0913, PLR0917 - arrays are a kernel's language
                 continue
             if index[k] == lane:
                 mine = away
-                if turn[k]:
+                if turn[k] or (stay and away <= half_width[k]):
                     best = NO_LANE  # ways through a junction lie upon one another
                     break
             if away > half_width[k] or turn[k]:
@@ -102,7 +104,10 @@ def relabelled(
     ruler: Ruler,
     p: CountParameters,
 ) -> tuple[tuple[MinuteBlock, ...], tuple[MinuteBlock, ...], tuple[Leader, ...]]:
-    """Return the blocks with lanes for crossings that had none, those that are others now, the leaders."""
+    """Return the blocks with lanes for crossings that had none, those that are others now, the leaders.
+
+    A lane that a new map cuts keeps its number on one part; crossings elsewhere get the number of theirs.
+    """
     by_id = {line.line_id: line for line in lines}
     open_blocks = {(block.line_id, block.minute, block.part): block for block in blocks}
     known = {(x.line_id, x.lane, x.direction): x for x in leaders}
@@ -127,16 +132,15 @@ def relabelled(
 
 
 def _with_lanes(table: NDArray[np.void], line: Line, ruler: Ruler) -> Bool:
-    """Write lanes into the records that have none; return which have one now."""
-    rows = np.flatnonzero(table["lane"] == NO_LANE)
-    place = np.column_stack([table["x_m"][rows], table["y_m"][rows]]).astype(np.float64)
-    way = table["direction"][rows, None] * way_across(line, 1)
-    lane = lanes_at(place, way, np.full(len(rows), NO_LANE, dtype=np.int64), ruler)
-    rows, lane = rows[lane != NO_LANE], lane[lane != NO_LANE]
-    table["lane"][rows], table["map_version"][rows] = lane, ruler.version
-    fresh = np.zeros(len(table), dtype=np.bool_)
-    fresh[rows] = True
-    return fresh
+    """Write the lanes of a new map into the records; return which have another than before."""
+    place = np.column_stack([table["x_m"], table["y_m"]]).astype(np.float64)
+    way = table["direction"][:, None] * way_across(line, 1)
+    before = table["lane"].astype(np.int64)
+    lane = lanes_at(place, way, before, ruler, stay=True)
+    fresh = lane != before
+    table["lane"][fresh], table["map_version"][fresh] = lane[fresh], ruler.version
+    table["headway_s"][fresh] = table["gap_s"][fresh] = np.nan  # to one in the lane that it had
+    return np.asarray(fresh)
 
 
 def _follow_again(  # noqa: PLR0913, PLR0917 - a line's records and whom they follow

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,31 @@ def test_crossings_before_the_first_map_get_lanes_and_headways_with_it():
     assert np.isnan(by_track[1]["headway_s"])
     assert np.isnan(by_track[3]["headway_s"])
     assert {x.lane for x in state.leaders} == {1, 2}
+
+
+def test_crossings_of_a_lane_that_a_new_map_cuts_get_the_number_of_their_part():
+    way = approach()
+    frames = merged(
+        drive(1, way, x_m=-1.7), [None] * 40 + drive(2, way, x_m=-1.8), [None] * 20 + drive(3, way, x_m=0.1)
+    )
+    near, far = lane(1, -1.5), lane(5, -1.5)
+    near = replace(near, points_m=near.points_m[near.points_m[:, 1] < 30.0], width_m=np.full(10, 3.5))
+    far = replace(far, points_m=far.points_m[far.points_m[:, 1] > 30.0], width_m=np.full(60, 3.5))
+    cut = LaneMap(2, START_US, 1, 40, "learned", (near, lane(2, 1.8), far))
+    state, blocks, told = nothing_counted(), {}, []
+    for k, now in enumerate(frames):
+        lanes = cut if k == len(frames) - 1 else LANES
+        state, counts = count(state, Moment(START_US + k * FRAME_US, k, tick=False), now, lanes, SETUP)
+        told += counts.crossings
+        blocks |= {(block.line_id, block.minute): block for block in counts.blocks}
+    assert [(x.track, x.lane, x.map_version) for x in told] == [(1, 1, 1), (3, 2, 1), (2, 1, 1)]
+
+    by_track = {int(row["track"]): row for block in blocks.values() for row in block.table()}
+
+    assert [int(by_track[k]["lane"]) for k in (1, 2, 3)] == [5, 5, 2]  # the third lies inside its lane still
+    assert [int(by_track[k]["map_version"]) for k in (1, 2, 3)] == [2, 2, 1]
+    assert by_track[2]["headway_s"] == pytest.approx(40 * FRAME_US / 1e6, abs=0.02)
+    assert np.isnan(by_track[1]["headway_s"])
 
 
 def test_a_headway_over_time_without_frames_is_not_known():
