@@ -64,6 +64,7 @@ class Collected:
     """Open tracks and blocks of one sensor."""
 
     tracks: OpenTracks
+    resting: OpenTracks  # not listed now, but their numbers may be again
     blocks: OpenBlocks
 
 
@@ -83,56 +84,87 @@ _NO_TRACKS = OpenTracks(np.zeros((HITS + 1, 0), dtype=np.int64), np.zeros((SPEED
 
 def nothing_collected() -> Collected:
     """Return the state before the first frame."""
-    return Collected(_NO_TRACKS, _no_blocks(0))
+    return Collected(_NO_TRACKS, _NO_TRACKS, _no_blocks(0))
 
 
 def collect_frame(
-    state: Collected, moment: Moment, frame_number: int, estimates: TrackEstimates
+    state: Collected, moment: Moment, frame_number: int, estimates: TrackEstimates, resting: I64
 ) -> tuple[Collected, Rows]:
-    """Return the state after one more frame and the rows that it completes."""
-    before, ended = _aligned(state.tracks, moment.time_us, frame_number, estimates)
-    tracks = _seen(before, moment.time_us, frame_number, estimates)
+    """Return the state after one more frame and the rows that it completes.
+
+    resting (R,): numbers that are not listed now, but may be again: such a track has not ended.
+    """
+    before, rests, ended = _sorted_out(state, estimates.number, resting)
+    tracks = _seen(
+        _aligned(before, moment.time_us, frame_number, estimates), moment.time_us, frame_number, estimates
+    )
     blocks, closed = _close(state.blocks, moment, ended.number)
     blocks = _add_samples(blocks, moment.time_us, frame_number, estimates)
-    due = tracks.whole[FIRST_FRAME] == frame_number
-    if closed:
-        due |= find(np.array([block.key.number for block in closed]), tracks.number) >= 0
-    summaries = _summaries(ended, moment, ended=True)
-    if due.any():
-        summaries += _summaries(tracks.take(due), moment)
-    return Collected(tracks, blocks), Rows(tuple(closed), summaries)
+    due = tracks.take((tracks.whole[FIRST_FRAME] == frame_number) | _told_of(tracks, closed))
+    return Collected(tracks, rests, blocks), _rows(moment, closed, ended, due, rests)
 
 
-def collect_tick(state: Collected, moment: Moment, estimates: TrackEstimates) -> tuple[Collected, Rows]:
+def collect_tick(
+    state: Collected, moment: Moment, estimates: TrackEstimates, resting: I64
+) -> tuple[Collected, Rows]:
     """Return the state after a tick: lost tracks end, a second that is over closes; no sample is added."""
-    stay = find(estimates.number, state.tracks.number) >= 0
-    tracks, ended = state.tracks.take(stay), state.tracks.take(~stay)
+    tracks, rests, ended = _sorted_out(state, estimates.number, resting)
     blocks, closed = _close(state.blocks, moment, ended.number)
-    due = find(np.array([block.key.number for block in closed]), tracks.number) >= 0
-    summaries = _summaries(ended, moment, ended=True) + _summaries(tracks.take(due), moment)
-    return Collected(tracks, blocks), Rows(tuple(closed), summaries)
+    due = tracks.take(_told_of(tracks, closed))
+    return Collected(tracks, rests, blocks), _rows(moment, closed, ended, due, rests)
 
 
 def end_all(state: Collected, moment: Moment) -> Rows:
     """Return the rows that end every open track."""
-    _, closed = _close(state.blocks, moment, state.tracks.number)
-    return Rows(tuple(closed), _summaries(state.tracks, moment, ended=True))
+    tracks = _together(state.tracks, state.resting)
+    _, closed = _close(state.blocks, moment, tracks.number)
+    return Rows(tuple(closed), _summaries(tracks, moment, ended=True))
 
 
-def _aligned(
-    tracks: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates
-) -> tuple[OpenTracks, OpenTracks]:
-    """Return what was seen before of each track listed now, and the tracks that are listed no more."""
-    if np.array_equal(tracks.number, now.number):
-        return tracks, _NO_TRACKS
-    gone = find(now.number, tracks.number) < 0
-    ended = tracks.take(gone) if gone.any() else _NO_TRACKS
+def _sorted_out(state: Collected, listed: I64, resting: I64) -> tuple[OpenTracks, OpenTracks, OpenTracks]:
+    """Return of the open tracks those listed now, those that rest, and those that have ended."""
+    if not len(state.resting.number) and np.array_equal(state.tracks.number, listed):
+        return state.tracks, _NO_TRACKS, _NO_TRACKS
+    tracks = _together(state.tracks, state.resting)
+    here = np.isin(tracks.number, listed)
+    rests = ~here & np.isin(tracks.number, resting)
+    return tracks.take(here), tracks.take(rests), tracks.take(~(here | rests))
+
+
+def _together(tracks: OpenTracks, others: OpenTracks) -> OpenTracks:
+    """Return all tracks by number."""
+    if not len(others.number):
+        return tracks
+    whole = np.concatenate([tracks.whole, others.whole], axis=1)
+    real = np.concatenate([tracks.real, others.real], axis=1)
+    return OpenTracks(whole, real).take(np.argsort(whole[NUMBER], kind="stable"))
+
+
+def _told_of(tracks: OpenTracks, closed: list[StateBlock]) -> Bool:
+    """Return which tracks (T,) have a block that closes now."""
+    if not closed:
+        return np.zeros(len(tracks.number), dtype=np.bool_)
+    return np.asarray(find(np.array([block.key.number for block in closed]), tracks.number) >= 0)
+
+
+def _rows(
+    moment: Moment, closed: list[StateBlock], ended: OpenTracks, due: OpenTracks, rests: OpenTracks
+) -> Rows:
+    """Return the blocks that close now, with the summaries of the tracks that ended or are due."""
+    summaries = _summaries(ended, moment, ended=True) + _summaries(due, moment)
+    return Rows(tuple(closed), summaries + _summaries(rests.take(_told_of(rests, closed)), moment))
+
+
+def _aligned(tracks: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
+    """Return what was seen before of each track listed now; tracks: those of them that were open."""
+    if len(tracks.number) == len(now.number):
+        return tracks
     before = find(tracks.number, now.number)
     known = np.flatnonzero(before >= 0)
     aligned = _newborn(time_us, frame_number, now)
     aligned.whole[:, known] = tracks.whole[:, before[known]]
     aligned.real[:, known] = tracks.real[:, before[known]]
-    return aligned, ended
+    return aligned
 
 
 def _newborn(time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:

@@ -111,7 +111,9 @@ def _fold_frame(state: FoldState[S], released: Released, out: _Output, tracker: 
     tracked, estimates, report = tracker.step(state.tracker, frame, state.parameters)
     state, estimates = _watch(state, frame.time_us, released.number, estimates, out)
     moment = _moment(state, frame.time_us)
-    collected, rows = collect_frame(state.collected, moment, released.number, estimates)
+    collected, rows = collect_frame(
+        state.collected, moment, released.number, estimates, tracked.resting_numbers
+    )
     out.rows.append(rows)
     out.folded.append(
         Folded(
@@ -144,7 +146,9 @@ def _fold_ticks(state: FoldState[S], before_us: int, out: _Output, tracker: Trac
             break
         tracked, estimates, report = tracker.coast(state.tracker, time_us, state.parameters)
         state, estimates = _watch(state, time_us, None, estimates, out)
-        collected, rows = collect_tick(state.collected, _moment(state, time_us), estimates)
+        collected, rows = collect_tick(
+            state.collected, _moment(state, time_us), estimates, tracked.resting_numbers
+        )
         out.rows.append(rows)
         out.folded.append(
             Folded(

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 from service.pipeline.blocks import Collected
 from service.pipeline.order import Fate, OrderState
 from service.storage.rows import Rows
-from service.tracking.model import Frame, StepReport, TrackEstimates
+from service.tracking.model import I64, Frame, StepReport, TrackEstimates
 from service.tracking.parameters import TrackerParameters
 from service.traffic.monitor import TrafficState
 from service.traffic.parameters import TrafficSetup
@@ -19,7 +19,12 @@ class TrackerState(Protocol):
 
     @property
     def idle(self) -> bool:
-        """True while there is no track at all."""
+        """True while there is no track at all, and none that may be listed again."""
+        ...
+
+    @property
+    def resting_numbers(self) -> I64:
+        """Return the numbers of tracks that are not listed now, but may be again, (R,)."""
         ...
 
 
@@ -81,6 +86,7 @@ class FoldState(Generic[S]):
             self.tracker.idle
             and self.traffic.idle
             and not len(self.collected.tracks.number)
+            and not len(self.collected.resting.number)
             and not len(self.collected.blocks.number)
         )
 

@@ -25,6 +25,7 @@ from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
 from service.tracking.recovery import RecoveryParameters
+from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
 from service.tracking.splitting import SplittingParameters
 
@@ -108,6 +109,7 @@ class TrackerParameters:
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
     splitting: SplittingParameters = field(default_factory=SplittingParameters)
+    resting: RestingParameters = field(default_factory=RestingParameters)
     road: RoadMapParameters = field(default_factory=RoadMapParameters)
     # at 20 Hz a lost track lives for a quarter of a second: three scans, anywhere within near_m
     recovery: RecoveryParameters = field(

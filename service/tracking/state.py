@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -140,6 +140,59 @@ def empty_window() -> Window:
     )
 
 
+class Place(NamedTuple):
+    """Where a track is and where it goes."""
+
+    x_m: float
+    y_m: float
+    speed_mps: float
+    heading_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Resting:
+    """R numbers of vehicles that fell silent in view, and M times one of them had a vehicle in its lane."""
+
+    number: I64  # (R,)
+    hit_us: I64  # (R,) time of the track's last hit
+    x_m: F64  # (R,) where it was when its track ended, and how it went
+    y_m: F64
+    speed_mps: F64
+    heading_rad: F64
+    mate_of: I64  # (M,) resting number
+    mate: I64  # (M,) number of the vehicle in its lane
+    mate_x_m: F64  # (M,) where that one was then
+    mate_y_m: F64
+
+    def place(self, k: int) -> Place:
+        """Return where vehicle k was."""
+        return Place(
+            float(self.x_m[k]), float(self.y_m[k]), float(self.speed_mps[k]), float(self.heading_rad[k])
+        )
+
+    def take(self, which: Bool) -> Resting:
+        """Return the vehicles of a mask (R,), with those in their lanes."""
+        if which.all():
+            return self
+        mates = np.isin(self.mate_of, self.number[which])
+        return Resting(
+            self.number[which], self.hit_us[which], self.x_m[which], self.y_m[which], self.speed_mps[which],
+            self.heading_rad[which], self.mate_of[mates], self.mate[mates], self.mate_x_m[mates],
+            self.mate_y_m[mates],
+        )  # fmt: skip
+
+    def join(self, other: Resting) -> Resting:
+        """Return these vehicles followed by the others."""
+        names = [field.name for field in dataclasses.fields(Resting)]
+        return Resting(*(np.concatenate((getattr(self, n), getattr(other, n))) for n in names))
+
+
+def none_resting() -> Resting:
+    """Return zero numbers."""
+    f, i = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Resting(i, i, f, f, f, f, i, i, f, f)
+
+
 @dataclass(frozen=True, slots=True)
 class TrackerState:
     """All that the next step needs to know of the past."""
@@ -157,8 +210,14 @@ class TrackerState:
     range_seen_min_m: float
     echo_reference_db: float  # running mean echo of confirmed vehicles
     trails: TrailBook  # where the tracks were measured lately, for the FIR recovery
+    resting: Resting
 
     @property
     def idle(self) -> bool:
-        """True while there is no track at all."""
-        return len(self.tracks) == 0
+        """True while there is no track at all, and none whose number rests."""
+        return len(self.tracks) == 0 and len(self.resting.number) == 0
+
+    @property
+    def resting_numbers(self) -> I64:
+        """Return the numbers of vehicles that may be seen again, (R,)."""
+        return self.resting.number

@@ -14,7 +14,7 @@ import numpy as np
 
 from service.tracking import births as birth
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, extent, holding, lifecycle, road_map, splitting
+from service.tracking import existence, extent, holding, lifecycle, resting, road_map, splitting
 from service.tracking.assigning import Assignment, assign, box_array
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
@@ -28,7 +28,7 @@ from service.tracking.points import point_array
 from service.tracking.recovering import Seen, recover
 from service.tracking.recovery import TrailBook, no_book
 from service.tracking.starting import find_births, start
-from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks
+from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks, none_resting
 from service.tracking.teaching import teach_road
 
 _TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
@@ -56,6 +56,7 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
         clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="",
         next_number=1, frames=0, time_us=0,
         range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0, trails=no_book(),
+        resting=none_resting(),
     )  # fmt: skip
 
 
@@ -74,6 +75,7 @@ def step(
     p = parameters
     bank = bank or make_filter(p.filter, p.filters)
     state = _with_filter(state, bank)
+    before = state.tracks
     seen = points = point_array(frame, p.sensor)
     watch("points")
     usable, standing, no_birth = clutter_map.sort_points(state.clutter, points, p.clutter)
@@ -113,6 +115,8 @@ def step(
     if apart is not state.tracks:
         state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
     tracks = start(state, bank, born, frame.time_us, p)
+    view_m = (p.sensor.range_min_m, p.sensor.range_max_m)
+    at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view_m, p.resting)
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
     watch("clutter")
@@ -123,7 +127,7 @@ def step(
         clutter=clutter, road=state.road, filter=state.filter, next_number=state.next_number + len(born),
         frames=state.frames + 1, time_us=frame.time_us,
         range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
-        echo_reference_db=reference, trails=trails,
+        echo_reference_db=reference, trails=trails, resting=at_rest,
     )  # fmt: skip
     state = teach_road(state, p)
     report = StepReport(
@@ -152,8 +156,9 @@ def coast(
     tracks = replace(state.tracks, mean=prediction.mean, cov=prediction.cov, memory=prediction.memory)
     tracks, ended = lifecycle.let_go(tracks, time_us, p)
     state = replace(
-        state, tracks=tracks, time_us=time_us, window=empty_window(), standing_window=empty_window()
-    )
+        state, tracks=tracks, time_us=time_us, window=empty_window(), standing_window=empty_window(),
+        resting=resting.expire(state.resting, time_us, p.resting),
+    )  # fmt: skip
     return replace(state, frame_times_us=(), trails=no_book()), estimates(tracks), StepReport(deleted=ended)
 
 

@@ -29,6 +29,10 @@ class SimpleState:
     def idle(self) -> bool:
         return len(self.number) == 0
 
+    @property
+    def resting_numbers(self) -> I64:
+        return np.zeros(0, dtype=np.int64)
+
 
 def initial_state(parameters: TrackerParameters | None = None) -> SimpleState:
     whole, plane = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
