@@ -130,7 +130,7 @@ class TrackReply(BaseModel):
 
     track_id: str
     sensor_id: str
-    ended: bool
+    ended: bool = Field(description="false also while it is not listed, but may be again: up to 30 s")
     start: str
     end: str
     duration_s: float

@@ -23,7 +23,7 @@ _MS_US = 1_000
 
 
 # rows of `OpenTracks.whole`
-NUMBER, FIRST_US, LAST_US, FIRST_FRAME, LAST_FRAME, STATES, HITS = range(7)
+NUMBER, FIRST_US, LAST_US, FIRST_FRAME, LAST_FRAME, STATES, HITS, EARLIER_HITS = range(8)
 # rows of `OpenTracks.real`; the anchor is where the distance was last added up
 LENGTH, WIDTH, EXISTENCE, FIRST_X, FIRST_Y, LAST_X, LAST_Y, ANCHOR_X, ANCHOR_Y = range(9)
 DISTANCE, SPEED_SUM, SPEED_MAX = range(9, 12)
@@ -35,7 +35,7 @@ _FIRST, _LAST, _ANCHOR = slice(FIRST_X, LAST_X), slice(LAST_X, ANCHOR_X), slice(
 class OpenTracks:
     """What was seen so far of the T tracks that are listed, by number."""
 
-    whole: I64  # (7, T)
+    whole: I64  # (8, T) EARLIER_HITS: of the times before the track rested
     real: F64  # (12, T) metres, m/s
 
     @property
@@ -79,7 +79,7 @@ class Moment:
     length_bounds_m: tuple[float, ...]  # of the length classes
 
 
-_NO_TRACKS = OpenTracks(np.zeros((HITS + 1, 0), dtype=np.int64), np.zeros((SPEED_MAX + 1, 0)))
+_NO_TRACKS = OpenTracks(np.zeros((EARLIER_HITS + 1, 0), dtype=np.int64), np.zeros((SPEED_MAX + 1, 0)))
 
 
 def nothing_collected() -> Collected:
@@ -128,7 +128,15 @@ def _sorted_out(state: Collected, listed: I64, resting: I64) -> tuple[OpenTracks
     tracks = _together(state.tracks, state.resting)
     here = np.isin(tracks.number, listed)
     rests = ~here & np.isin(tracks.number, resting)
-    return tracks.take(here), tracks.take(rests), tracks.take(~(here | rests))
+    return tracks.take(here), _at_rest(tracks.take(rests)), tracks.take(~(here | rests))
+
+
+def _at_rest(tracks: OpenTracks) -> OpenTracks:
+    """Return the tracks with their hits put by: one that is listed again counts from one."""
+    whole = tracks.whole.copy()
+    whole[EARLIER_HITS] += whole[HITS]
+    whole[HITS] = 0
+    return OpenTracks(whole, tracks.real)
 
 
 def _together(tracks: OpenTracks, others: OpenTracks) -> OpenTracks:
@@ -169,8 +177,9 @@ def _aligned(tracks: OpenTracks, time_us: int, frame_number: int, now: TrackEsti
 
 def _newborn(time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
     """Return tracks that begin where they are now, with no frame counted, in arrays of their own."""
-    whole, real = np.zeros((HITS + 1, len(now)), dtype=np.int64), np.zeros((SPEED_MAX + 1, len(now)))
+    whole, real = np.zeros((EARLIER_HITS + 1, len(now)), dtype=np.int64), np.zeros((SPEED_MAX + 1, len(now)))
     whole[NUMBER], whole[FIRST_US], whole[FIRST_FRAME] = now.number, time_us, frame_number
+    real[_EXTENT] = np.nan
     for places in (_FIRST, _LAST, _ANCHOR):
         real[places] = now.x_m, now.y_m
     return OpenTracks(whole, real)
@@ -184,7 +193,8 @@ def _seen(before: OpenTracks, time_us: int, frame_number: int, now: TrackEstimat
     columns = (now.x_m, now.y_m, now.vx_mps, now.vy_mps, now.length_m, now.width_m, now.existence)
     seen = np.array(columns, dtype=np.float64)
     place, velocity = seen[:2], seen[2:4]
-    real[_EXTENT], real[_LAST] = seen[4:], place
+    # of one that has rested the extent is not known again at once, but was
+    real[_EXTENT], real[_LAST] = np.where(np.isnan(seen[4:]), real[_EXTENT], seen[4:]), place
     step = np.hypot(*(place - real[_ANCHOR]))
     moved = step >= ANCHOR_STEP_M
     real[_ANCHOR] = np.where(moved, place, real[_ANCHOR])
@@ -274,7 +284,7 @@ def _summary(whole: list[int], real: list[float], moment: Moment, *, ended: bool
         first_frame=whole[FIRST_FRAME],
         last_frame=whole[LAST_FRAME],
         states=whole[STATES],
-        hits=whole[HITS],
+        hits=whole[EARLIER_HITS] + whole[HITS],
         length_m=length_m,
         width_m=width_m,
         length_class=length_class(length_m, moment.length_bounds_m),

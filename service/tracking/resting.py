@@ -59,7 +59,7 @@ def settle(  # noqa: PLR0913, PLR0917 - two moments, and who rested between them
         resting, after = _give_back(resting, after, fresh, time_us, p)
     ended = np.flatnonzero(before.confirmed & ~np.isin(before.number, after.number))
     if len(ended) and p.keep_s > 0.0:
-        resting = _rest(resting, before, after, ended, view_m, p)
+        resting = _rest(resting, before, after, ended, time_us, view_m, p)
     return resting, after
 
 
@@ -76,8 +76,8 @@ def _confirmed_numbers(tracks: Tracks) -> I64:
 
 
 def _rest(  # noqa: PLR0913, PLR0917 - as for `settle`
-    resting: Resting, before: Tracks, after: Tracks, ended: I64, view_m: tuple[float, float],
-    p: RestingParameters,
+    resting: Resting, before: Tracks, after: Tracks, ended: I64, time_us: int,
+    view_m: tuple[float, float], p: RestingParameters,
 ) -> Resting:  # fmt: skip
     """Return the resting numbers with those of the tracks that ended in view and not beside another."""
     range_m = np.hypot(before.x_m[ended], before.y_m[ended])
@@ -91,8 +91,9 @@ def _rest(  # noqa: PLR0913, PLR0917 - as for `settle`
         mates = _mates(before, i, p)
         resting = resting.join(
             Resting(
-                number=before.number[[i]], hit_us=before.hit_us[[i]], x_m=before.x_m[[i]],
-                y_m=before.y_m[[i]], speed_mps=before.speed_mps[[i]], heading_rad=before.heading_rad[[i]],
+                number=before.number[[i]], hit_us=before.hit_us[[i]],
+                ended_us=np.array([time_us], dtype=np.int64), x_m=before.x_m[[i]], y_m=before.y_m[[i]],
+                speed_mps=before.speed_mps[[i]], heading_rad=before.heading_rad[[i]],
                 mate_of=np.full(len(mates), before.number[i]), mate=before.number[mates],
                 mate_x_m=before.x_m[mates], mate_y_m=before.y_m[mates],
             )
@@ -156,7 +157,8 @@ def _misfit(  # noqa: PLR0913, PLR0917 - who rests, who was found, and all other
     if len(went):
         expected, far = float(went.mean()), p.led_m
     else:
-        expected = 0.5 * (here.speed_mps + was.speed_mps) * since_s
+        gone_s = (time_us - int(resting.ended_us[k])) / 1e6
+        expected = 0.5 * (here.speed_mps + was.speed_mps) * gone_s
         far = p.alone_m + p.alone_mps * since_s
     misfit = abs(along - expected)
     return misfit if misfit <= far else math.inf

@@ -155,7 +155,8 @@ class Resting:
 
     number: I64  # (R,)
     hit_us: I64  # (R,) time of the track's last hit
-    x_m: F64  # (R,) where it was when its track ended, and how it went
+    ended_us: I64  # (R,) when its track ended: up to seconds later, it coasted on
+    x_m: F64  # (R,) where it was then, and how it went
     y_m: F64
     speed_mps: F64
     heading_rad: F64
@@ -176,9 +177,9 @@ class Resting:
             return self
         mates = np.isin(self.mate_of, self.number[which])
         return Resting(
-            self.number[which], self.hit_us[which], self.x_m[which], self.y_m[which], self.speed_mps[which],
-            self.heading_rad[which], self.mate_of[mates], self.mate[mates], self.mate_x_m[mates],
-            self.mate_y_m[mates],
+            self.number[which], self.hit_us[which], self.ended_us[which], self.x_m[which], self.y_m[which],
+            self.speed_mps[which], self.heading_rad[which], self.mate_of[mates], self.mate[mates],
+            self.mate_x_m[mates], self.mate_y_m[mates],
         )  # fmt: skip
 
     def join(self, other: Resting) -> Resting:
@@ -190,7 +191,7 @@ class Resting:
 def none_resting() -> Resting:
     """Return zero numbers."""
     f, i = np.zeros(0), np.zeros(0, dtype=np.int64)
-    return Resting(i, i, f, f, f, f, i, i, f, f)
+    return Resting(i, i, i, f, f, f, f, i, i, f, f)
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,7 @@ def count(
     )  # fmt: skip
     if beyond:
         found = tuple(sorted((*found, *beyond), key=lambda x: (x.time_us, x.track)))
+    found = _once(found, mapped)
     crossings, leaders = _followed(found, state, ruler, p)
     blocks, grown = _collected(mapped, crossings, now_us, UNMAPPED_OPEN_US if not lanes.version else OPEN_US)
     grown = _newest(relabelled_blocks, grown)
@@ -136,6 +137,19 @@ def _with_lines(state: CountState, drawn: tuple[Line, ...], lanes: LaneMap, p: C
     lines = drawn or place_lines(lanes, p)
     states = no_line_states(len(state.vehicles), len(lines))
     return replace(state, lines=lines, placed_on=across, states=states, leaders=(), unseen=UnseenState())
+
+
+def _once(found: Sequence[Crossing], told: Sequence[MinuteBlock]) -> tuple[Crossing, ...]:
+    """Return the crossings without those of a vehicle that was told of at that line before.
+
+    One that was lost for longer than pieces are stitched may be listed again under its number.
+    """
+    fresh: dict[tuple[str, int], Crossing] = {}
+    for x in found:
+        lines = (block.table()["vehicle"] for block in told if block.line_id == x.line_id)
+        if not any((vehicles == x.vehicle).any() for vehicles in lines):
+            fresh.setdefault((x.line_id, x.vehicle), x)
+    return tuple(fresh.values())
 
 
 def _followed(

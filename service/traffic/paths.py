@@ -6,7 +6,7 @@ samples of a frame are put behind those before it; from time to time all are joi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,7 @@ def follow(
         x, y = paths.x_m, paths.y_m
     else:
         ended = _ended(paths, now.number)
+        paths = _without_earlier(paths, now.number)
         x, y = _last_places(paths, now.number)
     far = np.hypot(now.x_m - x, now.y_m - y) >= p.step_m
     due = (far | np.isnan(x)) & (now.status == _CONFIRMED) & (not moment.tick)
@@ -110,6 +111,16 @@ def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
         )
         for i in gone
     )
+
+
+def _without_earlier(paths: Paths, listed: I64) -> Paths:
+    """Return the paths without samples of tracks that ended and are listed again: those were given out."""
+    fresh = listed[find(paths.number, listed) < 0]
+    tables = (paths.past, *paths.recent)
+    if not len(fresh) or not any(np.isin(fresh, table.number).any() for table in tables):
+        return paths
+    past, *recent = (take(table, ~np.isin(table.number, fresh)) for table in tables)
+    return replace(paths, past=past, recent=tuple(recent))
 
 
 def retraced(samples: Samples, number: I64) -> Samples:

@@ -121,6 +121,18 @@ def test_a_vehicle_whose_track_breaks_counts_once(broken_m, gap_s):
     assert crossing.time_us - START_US == pytest.approx(20 / 12 * 1e6, abs=20_000)
 
 
+@pytest.mark.parametrize("back_m", [39.0, 60.0])
+def test_a_vehicle_whose_number_comes_back_after_a_long_rest_is_not_counted_again(back_m):
+    other = drive(2, np.full(400, 50.0), x_m=20.0, vy_mps=0.0)
+    away, again = approach(60.0, 32.0), approach(back_m, 20.0)
+    rested = [*drive(1, away), *[None] * 100, *drive(1, again)]
+
+    found = crossings(merged(other, rested))
+
+    assert [(crossing.track, crossing.vehicle) for crossing in found] == [(1, 1)]
+    assert found[0].time_us - START_US == pytest.approx(20 / 12 * 1e6, abs=20_000)
+
+
 def test_of_two_vehicles_one_behind_the_other_both_count():
     follower = [None] * 30 + drive(2, approach())
 

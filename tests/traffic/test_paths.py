@@ -62,3 +62,16 @@ def test_memory_is_bounded_and_the_newest_samples_stay():
     assert 50 <= len(kept) <= 56
     assert kept[-1] == 398
     assert len(paths.past.number) == 50 or len(paths.number) == 0
+
+
+def test_what_was_given_out_of_a_track_is_not_given_out_again_when_it_comes_back():
+    first = [estimates([1, 2], [0, 3.5], [100 - 2 * k, 50], 0, [-40, 0]) for k in range(10)]
+    gone = [estimates([2], 3.5, 50, 0, 0)] * 4
+    again = [estimates([1, 2], [0, 3.5], [60 - 2 * k, 50], 0, [-40, 0]) for k in range(10)]
+
+    for join_after in (2, 32):
+        _, finished = watch([*first, *gone, *again, *gone], PathParameters(join_after=join_after))
+
+        assert [path.number for path in finished] == [1, 1]
+        assert finished[0].samples.y_m.tolist() == [100 - 2 * k for k in range(10)]
+        assert finished[1].samples.y_m.tolist() == [60 - 2 * k for k in range(10)]
