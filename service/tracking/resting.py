@@ -28,10 +28,13 @@ class RestingParameters:
     least_hits: int = 4
     apart_m: float = 1.5  # a track that ended this near a confirmed one was the same vehicle
     edge_m: float = 4.0  # what was this near the ends of the view has left it
+    faint_frames: int = 10  # a track silent for so long, as likely not to exist as to, is as good as ended
+    faint_log_odds: float = 0.0
     turn_rad: float = 0.6  # most that the vehicle may have turned
     across_m: float = 2.6  # that it may be found beside its way on, most of it the error of both places ...
     across_share: float = 0.02  # ... and so much of the way
     lane_m: float = 2.0  # who drove less than this beside it was in its lane
+    narrow_m: float = 1.2  # motorcycles overtake within a lane
     order_m: float = 3.0  # ... and ahead or behind, not abreast, if this far along
     slack_m: float = 4.0  # error of both places along the way
     accel_mps2: float = 2.0  # that it may have gained on both its speeds ...
@@ -54,9 +57,8 @@ def settle(  # noqa: PLR0913, PLR0917 - two moments, and who rested between them
     listed, known = _confirmed_numbers(after), _confirmed_numbers(before)
     if np.array_equal(listed, known):
         return resting, after
-    if len(resting.number):
-        fresh = np.flatnonzero(after.confirmed & ~np.isin(after.number, known))
-        resting, after = _give_back(resting, after, fresh, time_us, p)
+    if not np.isin(listed, known).all():
+        resting, after = _give_all(resting, known, after, time_us, view_m, p)
     ended = np.flatnonzero(before.confirmed & ~np.isin(before.number, after.number))
     if len(ended) and p.keep_s > 0.0:
         resting = _rest(resting, before, after, ended, time_us, view_m, p)
@@ -104,12 +106,34 @@ def _rest(  # noqa: PLR0913, PLR0917 - as for `settle`
 def _mates(tracks: Tracks, i: int, p: RestingParameters) -> I64:
     """Return the confirmed tracks in the lane of track i, itself excepted."""
     _, across = _apart(_place(tracks, i), tracks.x_m, tracks.y_m)
-    here = tracks.confirmed & (np.abs(across) <= p.lane_m)
+    here = tracks.confirmed & (np.abs(across) <= p.lane_m) & (tracks.width_m > p.narrow_m)
     here[i] = False
     return np.flatnonzero(here)
 
 
 # ---------------------------------------------------------------- numbers that are given back
+
+
+def _give_all(  # noqa: PLR0913, PLR0917 - as for `settle`
+    resting: Resting, known: I64, after: Tracks, time_us: int, view_m: tuple[float, float],
+    p: RestingParameters,
+) -> tuple[Resting, Tracks]:  # fmt: skip
+    """Return what `_give_back` does for the tracks confirmed now; those as good as ended give theirs, too."""
+    faint = after.confirmed & (after.empty >= p.faint_frames) & (after.log_odds <= p.faint_log_odds)
+    if not len(resting.number) and not faint.any():
+        return resting, after
+    rest, others = after.take(faint), after.take(~faint)
+    offered = (
+        _rest(resting, after, others, np.flatnonzero(faint), time_us, view_m, p) if len(rest) else resting
+    )
+    fresh = np.flatnonzero(others.confirmed & ~np.isin(others.number, known))
+    offered, others = _give_back(offered, others, fresh, time_us, p)
+    stay = rest.take(~np.isin(rest.number, others.number))
+    offered = offered.take(~np.isin(offered.number, stay.number))
+    if not len(stay):
+        return offered, others
+    tracks = others.join(stay)
+    return offered, tracks.take(np.argsort(tracks.number, kind="stable"))
 
 
 def _give_back(

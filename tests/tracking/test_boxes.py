@@ -252,7 +252,7 @@ def test_two_faces_seen_at_once_do_not_turn_a_box_to_its_diagonal(aspect_rad):
     assert abs(turn) < 0.08
 
 
-def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p):
+def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, empty, p):
     """Return the pairs of one vehicle and whether one is a piece, matrix by matrix."""
     dx, dy = mean[None, :, 0] - mean[:, None, 0], mean[None, :, 3] - mean[:, None, 3]
     s, c = np.sin(heading)[:, None], np.cos(heading)[:, None]
@@ -272,7 +272,13 @@ def slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p):
         along + half + half.T < p.length_max_m
     )
     piece &= (gap < 0.0) | (np.minimum(hits[:, None], hits) < p.piece_hits)
-    pair = close | inside | inside.T | (piece & piece.T)
+    silent = empty >= p.silent_frames
+    seen_hits = np.where(silent[:, None], hits, np.where(silent, hits[:, None], 0))
+    lost = (silent[:, None] != silent) & (dv < p.silent_dv_mps) & (seen_hits < p.piece_hits)
+    young = (silent[:, None] == silent) & like & (dv < p.piece_dv_mps) & (speed > p.overlap_speed_mps)
+    young &= np.minimum(hits[:, None], hits) < p.piece_hits
+    overlap = (along < p.overlap_share * (half + half.T)) & (across < p.lane_across_m) & (lost | young)
+    pair = close | inside | inside.T | (piece & piece.T) | overlap
     np.fill_diagonal(pair, False)
     return [(i, j, piece[i, j] and not close[i, j] and not inside[i, j]) for i, j in np.argwhere(pair)]
 
@@ -281,6 +287,7 @@ def limits_of(p):
     return (
         p.same_centre_m, p.same_speed_mps, p.same_speed_stds, p.inside_across_m, p.lane_across_m,
         p.piece_speed_mps, p.piece_dv_mps, p.piece_gap_s, p.piece_gap_m, float(p.piece_hits), p.length_max_m,
+        p.overlap_share, p.overlap_speed_mps, float(p.silent_frames), p.silent_dv_mps,
     )  # fmt: skip
 
 
@@ -295,10 +302,11 @@ def test_tracks_of_one_vehicle_are_found_as_by_the_definition(rng):
         rate_var = rng.uniform(0.001, 0.04, 14)
         cov = np.zeros((14, 6, 6))
         cov[:, 1, 1] = cov[:, 4, 4] = rate_var
-        expected = slow_pairs(mean, rate_var, heading, turn_rate, length, hits, p)
+        empty = rng.choice([0, 20], 14, p=(0.8, 0.2))
+        expected = slow_pairs(mean, rate_var, heading, turn_rate, length, hits, empty, p)
         found += len(expected)
 
-        pairs = find_pairs(mean, cov, heading, turn_rate, length, hits, limits_of(p))
+        pairs = find_pairs(mean, cov, heading, turn_rate, length, hits, empty, limits_of(p))
 
         assert list(zip(*pairs, strict=True)) == expected
 
@@ -311,7 +319,14 @@ def two_behind_another(gap_m, dv_mps, hits):
     mean[:, 3], mean[:, 4] = (60.0, 60.0 + gap_m), (14.0, 14.0 + dv_mps)
     cov[:, 1, 1] = cov[:, 4, 4] = 0.005
     pairs = find_pairs(
-        mean, cov, np.zeros(2), np.zeros(2), np.full(2, 4.4), np.array(hits), limits_of(MergingParameters())
+        mean,
+        cov,
+        np.zeros(2),
+        np.zeros(2),
+        np.full(2, 4.4),
+        np.array(hits),
+        np.zeros(2, np.int64),
+        limits_of(MergingParameters()),
     )
     return len(pairs[0])
 
@@ -326,20 +341,26 @@ def test_only_a_young_track_is_a_piece_of_the_vehicle_before_it():
     assert not two_behind_another(6.0, 0.1, (200, 100))  # it has proved to be a vehicle of its own
 
 
-def merged(y_m, **columns):
+def merged(y_m, vy_mps=12.0, **columns):
     """Return numbers and lengths of what two confirmed tracks 7 and 9 in one lane are merged to."""
+    left = what_is_left(y_m, vy_mps, **columns)
+    return left.number.tolist(), left.length_m.tolist()
+
+
+def what_is_left(y_m, vy_mps, **columns):
+    """Return the tracks that these two are merged to."""
     empty = no_tracks(0)
     names = [field.name for field in dataclasses.fields(empty)]
     blank = Tracks(
         *(np.zeros((2, *column.shape[1:]), column.dtype) for column in map(empty.__getattribute__, names))
     )
     mean, cov = np.zeros((2, 6)), np.zeros((2, 6, 6))
-    mean[:, 3], mean[:, 4] = y_m, 12.0
+    mean[:, 3], mean[:, 4] = y_m, vy_mps
     cov[:, 1, 1] = cov[:, 4, 4] = 0.005
     values = {"status": (TrackStatus.CONFIRMED, TrackStatus.CONFIRMED)} | columns
     typed = {name: np.array(value, getattr(blank, name).dtype) for name, value in values.items()}
     left, drop = merge(blank.but(number=np.array([7, 9]), mean=mean, cov=cov, **typed), MergingParameters())
-    return left.number[~drop].tolist(), left.length_m[~drop].tolist()
+    return left.take(~drop)
 
 
 def one_in_another(**changes):
@@ -356,6 +377,37 @@ def test_the_older_of_two_tracks_stays_unless_it_fell_silent_or_has_far_fewer_po
     assert one_in_another(points_per_hit=(3.0, 7.0)) == ([9], [11.5])
     assert one_in_another(log_odds=(0.0, 5.0), empty=(22, 0)) == ([9], [11.5])
     assert one_in_another(points_per_hit=(3.0, 7.0), hits=(200, 10)) == ([7], [2.2])  # not yet settled
+
+
+@pytest.mark.parametrize(
+    ("changes", "numbers"),
+    [
+        ({}, [7]),
+        ({"hits": (200, 100)}, [7, 9]),  # it has proved to be a vehicle of its own
+        ({"y_m": (60.0, 64.0)}, [7, 9]),  # nearly bumper to bumper
+        ({"vy_mps": 1.0}, [7, 9]),  # in a queue places may be this wrong
+        ({"vy_mps": (2.0, 3.0)}, [7, 9]),
+        ({"vy_mps": (2.0, 3.0), "empty": (10, 0)}, [7]),
+        ({"vy_mps": (2.0, 5.5), "empty": (10, 0)}, [7, 9]),
+        ({"vy_mps": (2.0, 3.0), "empty": (5, 0)}, [7, 9]),
+        ({"vy_mps": (2.0, 3.0), "empty": (10, 0), "hits": (200, 100)}, [7, 9]),
+    ],
+)
+def test_a_young_track_that_overlaps_another_in_its_lane_is_the_same_vehicle(changes, numbers):
+    usual = {
+        "y_m": (60.0, 63.3), "vy_mps": 2.0, "hits": (200, 10), "length_m": (4.4, 4.4), "width_m": (1.9, 1.9),
+    }  # fmt: skip
+
+    assert merged(**(usual | changes))[0] == numbers
+
+
+def test_a_vehicle_that_was_lost_goes_on_from_where_it_is_seen_with_its_number():
+    left = what_is_left(
+        (60.0, 63.3), (2.0, 3.0), hits=(200, 10), length_m=(4.4, 4.4), width_m=(1.9, 1.9), empty=(10, 0)
+    )
+
+    assert left.number.tolist() == [7]
+    assert (left.y_m[0], left.mean[0, 4], left.empty[0], left.hits[0]) == (63.3, 3.0, 0, 10)
 
 
 def test_a_confirmed_track_stays_before_a_tentative_one():

@@ -33,7 +33,8 @@ def tracks(*rows, **columns):
     mean[:, 0], mean[:, 3] = [row[1] if len(row) == 3 else 0.0 for row in rows], [row[-1] for row in rows]
     mean[:, 4] = columns.pop("speed_mps", 2.0)
     filled = {
-        "hits": 40, "hit_us": LOST_US, "born_us": 0, "status": TrackStatus.CONFIRMED, "empty": 0, **columns,
+        "width_m": 1.9, "hits": 40, "hit_us": LOST_US,
+        "born_us": 0, "status": TrackStatus.CONFIRMED, "empty": 0, **columns,
     }  # fmt: skip
     whole = {name: np.full(n, value, getattr(made, name).dtype) for name, value in filled.items()}
     return made.but(number=np.array([row[0] for row in rows], np.int64), mean=mean, **whole)
@@ -223,6 +224,41 @@ def test_a_tentative_track_beside_it_is_no_other_vehicle():
 )
 def test_what_was_at_the_edge_of_the_view_has_left_it(y_m, rests):
     assert at_rest(silent((2, y_m))).number.tolist() == rests
+
+
+def beside_a_faint_one(**columns):
+    """The numbers when a vehicle is seen ten metres ahead of where a settled track was left behind."""
+    usual = {"empty": [0, 15, 0, 0], "log_odds": [6.0, -1.0, 6.0, 3.0], "born_us": [0, 0, 0, BORN_US]}
+    usual |= {"hit_us": [BACK_US, HIT_US, BACK_US, BACK_US]}
+    after = tracks((1, 70.0), (2, 50.0), (3, 40.0), (9, 60.0), **(usual | columns))
+    status = after.status.copy()
+    status[-1] = TrackStatus.TENTATIVE
+    resting, after = settle(none_resting(), after.but(status=status), after, BACK_US, VIEW_M, P)
+    assert not len(resting.number)
+    return dict(zip(after.number.tolist(), after.y_m.tolist(), strict=True))
+
+
+def test_a_box_that_was_left_behind_gives_its_number_before_it_ends():
+    assert beside_a_faint_one() == {1: 70.0, 2: 60.0, 3: 40.0}
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"empty": [0, 5, 0, 0]},
+        {"log_odds": [6.0, 1.0, 6.0, 3.0]},
+        {"hit_us": [BACK_US, BORN_US + 1, BACK_US, BACK_US]},  # both were seen at once
+    ],
+)
+def test_a_box_that_may_well_be_a_vehicle_keeps_its_number(columns):
+    assert beside_a_faint_one(**columns) == {1: 70.0, 2: 50.0, 3: 40.0, 9: 60.0}
+
+
+def test_a_motorcycle_has_no_say_in_the_order():
+    before = silent((1, 60.0), (2, 50.0), (3, 40.0), width_m=[1.9, 1.9, 0.9])
+    _, after = found(at_rest(before), (1, 62.0), (3, 60.0), (9, 52.0), width_m=[1.9, 0.9, 1.9])
+
+    assert after.number.tolist() == [1, 2, 3]
 
 
 def two_at_rest():
