@@ -41,6 +41,7 @@ from service.traffic import count_intervals  # noqa: E402
 from service.traffic.cells import CELL, along  # noqa: E402
 from service.traffic.count_intervals import Confidence  # noqa: E402
 from service.traffic.counting import count, nothing_counted  # noqa: E402
+from service.traffic.measured import measured_of  # noqa: E402
 from service.traffic.model import Lane, LaneMap, Moment  # noqa: E402
 from service.traffic.parameters import traffic_setup  # noqa: E402
 from service.traffic.records import MINUTE_US, Crossing  # noqa: E402
@@ -172,7 +173,9 @@ def tally(run: Run) -> Counted:
     cells: dict[int, np.ndarray] = {}
     for time_us, number, estimates, tick in run.tracks:
         assign(estimates, run.lanes)
-        state, counts = count(state, Moment(time_us, number, tick), estimates, run.lanes, setup)
+        state, counts = count(
+            state, Moment(time_us, number, tick), estimates, measured_of(estimates), run.lanes, setup
+        )
         found += counts.crossings
         minutes |= {part.minute: (part.frames, part.observed_us) for part in counts.received}
         cells |= {part.minute: part.records.reshape(-1).view(CELL) for part in counts.cells}

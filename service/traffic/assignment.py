@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.kernel import kernel, part
-from service.tracking.model import F64, I64, U8, TrackEstimates, TrackStatus
+from service.tracking.model import F32, F64, I64, U8
+from service.traffic.measured import ACROSS_STD, HEADING, VX, VY, Measured, X, Y
 from service.traffic.model import LaneChange, LaneMap, Moment, Samples
-from service.traffic.paths import across_std_m
 from service.traffic.vehicles import (
     CANDIDATE,
     CROSSED_US,
@@ -29,8 +29,6 @@ from service.traffic.vehicles import (
     SEEN_US,
     Vehicles,
 )
-
-_CONFIRMED = int(TrackStatus.CONFIRMED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +89,7 @@ _PROLONGED_COST_M = 5.0  # ... and any other is nearer
 def assign(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     vehicles: Vehicles,
     moment: Moment,
-    now: TrackEstimates,
+    now: Measured,
     chart: Chart,
     version: int,
     p: AssignmentParameters,
@@ -100,15 +98,14 @@ def assign(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
 
     Where a track merely coasts its lane stays: nobody saw where it drives.
     """
-    seen = np.flatnonzero((now.status == _CONFIRMED) & (not moment.tick))
     changes: tuple[LaneChange, ...] = ()
-    if len(seen) and len(chart.index):
-        columns = (now.x_m, now.y_m, now.heading_rad, across_std_m(now))
-        x, y, heading, std = np.array(columns, dtype=np.float64).take(seen, axis=1)
-        time = np.full(len(seen), moment.time_us)
-        _, whole, real = _judged(vehicles, seen, time, (x, y, heading, std), chart, p)
+    if len(now.row) and len(chart.index) and not moment.tick:
+        time = np.full(len(now.row), moment.time_us)
+        rows = (now.real[X], now.real[Y], now.real[HEADING], now.real[ACROSS_STD])
+        _, whole, real = _judged(vehicles, now.row, time, rows, chart, p)
         if len(whole):
-            changes = _changes(vehicles, whole, real, np.hypot(now.vx_mps[seen], now.vy_mps[seen]), version)
+            speed = np.hypot(now.real[VX].astype(np.float32), now.real[VY].astype(np.float32))
+            changes = _changes(vehicles, whole, real, speed, version)
     return vehicles.whole[:, LANE].astype(np.uint8), changes
 
 
@@ -127,6 +124,8 @@ def retrace(
 def unfinished(gone: Vehicles, now_us: int, version: int, p: AssignmentParameters) -> tuple[LaneChange, ...]:
     """Return the changes that vehicles which are followed no more were about to make: past the boundary."""
     whole, real = gone.whole, gone.real
+    if not whole[:, CANDIDATE].any():
+        return ()
     over = (whole[:, CANDIDATE] > 0) & (whole[:, PAST_US] > 0)
     over &= whole[:, CROSSED_US] - whole[:, ENTERED_US] >= 1e6 * p.settle_s
     return tuple(
@@ -161,7 +160,7 @@ def _judged(  # noqa: PLR0913, PLR0917 - likewise
 
 
 def _changes(
-    vehicles: Vehicles, whole: I64, real: F64, speed_mps: F64, version: int
+    vehicles: Vehicles, whole: I64, real: F64, speed_mps: F32 | F64, version: int
 ) -> tuple[LaneChange, ...]:
     return tuple(
         LaneChange(

@@ -22,6 +22,7 @@ from service.traffic.crossing_lanes import lanes_at, passing_s, relabelled, way_
 from service.traffic.crossings import LineStates, View, cross, no_line_states
 from service.traffic.line_placing import place_lines
 from service.traffic.lines import Line
+from service.traffic.measured import Measured
 from service.traffic.model import LaneMap, Moment
 from service.traffic.parameters import TrafficSetup
 from service.traffic.records import (
@@ -76,13 +77,18 @@ def nothing_counted() -> CountState:
     )
 
 
-def count(
-    state: CountState, moment: Moment, estimates: TrackEstimates, lanes: LaneMap, setup: TrafficSetup
+def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
+    state: CountState,
+    moment: Moment,
+    estimates: TrackEstimates,
+    measured: Measured,
+    lanes: LaneMap,
+    setup: TrafficSetup,
 ) -> tuple[CountState, Counts]:
     """Return the state after a frame or tick, and what has become certain."""
     p, now_us = setup.parameters.counting, moment.time_us
     state = _with_lines(state, setup.lines, lanes, p)
-    scan = scan_of(now_us, moment.frame, estimates)
+    scan = scan_of(now_us, moment.frame, estimates, measured)
     window = remember(state.window, scan, round(p.window_s * 1e6))
     joined = join(state.vehicles, scan, p)
     states, found = cross(state.states, joined, View(window, state.lines, p))

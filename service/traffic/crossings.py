@@ -22,9 +22,10 @@ from service.tracking.model import F64, I64, U8, Bool
 from service.traffic.count_parameters import CountParameters
 from service.traffic.ghosts import is_ghost
 from service.traffic.lines import Line, directions, sides
+from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import Crossing
 from service.traffic.stitching import Joined, Vehicles
-from service.traffic.window import EXISTENCE, LENGTH, VX, VY, Scan, X, Y, past_of, samples_of
+from service.traffic.window import Scan, past_of, samples_of
 
 _time_us = attrgetter("time_us")
 _FIT_LEAST = 4  # samples of a fit; fewer: the step over the line alone

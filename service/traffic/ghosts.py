@@ -8,7 +8,8 @@ import numpy as np
 
 from service.tracking.model import F64
 from service.traffic.count_parameters import CountParameters
-from service.traffic.window import VX, VY, Past, X, Y
+from service.traffic.measured import VX, VY, X, Y
+from service.traffic.window import Past
 
 _STANDING_MPS = 1e-3  # a slower pair has no direction
 

@@ -12,7 +12,7 @@ from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64, Bool
 from service.traffic.cells import Ruler
 from service.traffic.lines import Line, directions
-from service.traffic.window import VX, VY, X, Y
+from service.traffic.measured import VX, VY, X, Y
 
 _LEAST_COSINE = math.cos(math.radians(30.0))  # between a vehicle's way and its lane
 _AGAINST_M = 1.0  # that a lane of the other direction must be nearer

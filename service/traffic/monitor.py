@@ -17,6 +17,7 @@ from service.traffic.assignment import Chart, assign, chart_of, retrace, unfinis
 from service.traffic.changes import Changes, confirm, judged, no_changes
 from service.traffic.counting import CountState, count, nothing_counted, report
 from service.traffic.mapping import Mapping, no_mapping
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, Samples
 from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
@@ -68,11 +69,12 @@ def step(
     version = state.map.version
     left = unfinished(lost(state.vehicles, estimates.number), moment.time_us, version, p.assignment)
     vehicles = aligned(state.vehicles, estimates.number)
-    lane, crossed = assign(vehicles, moment, estimates, state.chart, version, p.assignment)
-    motion = classify(vehicles, moment, estimates, state.chart, setup.travel_heading_rad, p.motion)
+    measured = measured_of(estimates)
+    lane, crossed = assign(vehicles, moment, measured, state.chart, version, p.assignment)
+    motion = classify(vehicles, moment, measured, state.chart, setup.travel_heading_rad, p.motion)
     estimates = dataclasses.replace(estimates, lane=lane, motion=motion)
-    paths, finished = follow(state.paths, moment, estimates, p.paths)
-    counts, counted = count(state.counts, moment, estimates, state.map, setup)
+    paths, finished = follow(state.paths, moment, estimates, measured.across_std_m, p.paths)
+    counts, counted = count(state.counts, moment, estimates, measured, state.map, setup)
     changes, sure = confirm(
         state.changes, (*left, *crossed, *coming), paths, finished, state.map, moment.time_us, p.changes
     )

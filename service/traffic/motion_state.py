@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.tracking.kernel import kernel
-from service.tracking.model import F64, I64, U8, MotionState, TrackEstimates, TrackStatus
+from service.tracking.model import F64, I64, U8, MotionState
 from service.traffic.assignment import Chart
+from service.traffic.measured import VX, VY, Measured, X, Y
 from service.traffic.model import Moment
 from service.traffic.vehicles import AHEAD_X, AHEAD_Y, IN_A_ROW, LANE, MOTION, STOPPED_US, ZONE, Vehicles
 
-_CONFIRMED = int(TrackStatus.CONFIRMED)
 _UNCLASSIFIED, _STATIONARY, _MOVING = (
     int(MotionState.UNCLASSIFIED), int(MotionState.STATIONARY), int(MotionState.MOVING)
 )  # fmt: skip
@@ -38,7 +38,7 @@ class MotionParameters:
 
 
 def classify(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
-    vehicles: Vehicles, moment: Moment, now: TrackEstimates, chart: Chart, forward_rad: float | None,
+    vehicles: Vehicles, moment: Moment, now: Measured, chart: Chart, forward_rad: float | None,
     p: MotionParameters,
 ) -> U8:  # fmt: skip
     """Return the motion state (T,) of each track; writes into `vehicles`.
@@ -46,12 +46,10 @@ def classify(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     Forward is the direction of the vehicle's lane; outside of lanes `forward_rad`, or, where that is None,
     away from the radar.
     """
-    seen = np.flatnonzero((now.status == _CONFIRMED) & (not moment.tick))
-    if len(seen):
-        x, y, vx, vy = np.array((now.x_m, now.y_m, now.vx_mps, now.vy_mps), dtype=np.float64)
+    if len(now.row) and not moment.tick:
         fixed = (0.0, 0.0) if forward_rad is None else (math.sin(forward_rad), math.cos(forward_rad))
         _classify(
-            seen, moment.time_us, x, y, vx, vy, vehicles.whole, vehicles.real, chart.index, chart.first,
+            now.row, moment.time_us, now.real[:4], vehicles.whole, vehicles.real, chart.index, chart.first,
             chart.point, fixed, (p.frames, int(1e6 * p.stationary_after_s)), (p.rest_mps, p.leave_mps),
         )  # fmt: skip
     return vehicles.whole[:, MOTION].astype(np.uint8)
@@ -59,26 +57,30 @@ def classify(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
 
 @kernel
 def _classify(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one pass over the tracks
-    seen: I64, now_us: int, x: F64, y: F64, vx: F64, vy: F64, whole: I64, real: F64, index: I64, first: I64,
-    point: F64, fixed: tuple[float, float], window: tuple[int, int], bands: tuple[float, float],
+    row: I64, now_us: int, plane: F64, whole: I64, real: F64, index: I64, first: I64, point: F64,
+    fixed: tuple[float, float], window: tuple[int, int], bands: tuple[float, float],
 ) -> None:  # fmt: skip
+    """Write the state of each vehicle; plane (4, M): x, y, vx, vy of those in the rows `row`."""
     frames, stationary_after_us = window
     rest, leave = bands
-    for i in seen:
+    for r in range(len(row)):
+        i, x, y = row[r], plane[X, r], plane[Y, r]
         ahead_x, ahead_y = fixed
         if ahead_x == 0.0 and ahead_y == 0.0:
-            away = math.hypot(x[i], y[i])
-            ahead_x, ahead_y = x[i] / away, y[i] / away
+            away = math.hypot(x, y)
+            ahead_x, ahead_y = x / away, y / away
         for k in range(len(index)):
             if index[k] == whole[i, LANE]:
-                best = 1e30
+                best = math.inf
                 for n in range(first[k], first[k + 1] - 1):
                     ex, ey = point[n + 1, 0] - point[n, 0], point[n + 1, 1] - point[n, 1]
-                    size = math.hypot(ex, ey)
                     middle_x, middle_y = point[n, 0] + 0.5 * ex, point[n, 1] + 0.5 * ey
-                    distance = (x[i] - middle_x) ** 2 + (y[i] - middle_y) ** 2
+                    distance = (x - middle_x) ** 2 + (y - middle_y) ** 2
                     if distance < best:
-                        best, ahead_x, ahead_y = distance, ex / size, ey / size
+                        best, ahead_x, ahead_y = distance, ex, ey
+                if best < math.inf:
+                    size = math.hypot(ahead_x, ahead_y)
+                    ahead_x, ahead_y = ahead_x / size, ahead_y / size
         state = whole[i, MOTION]
         if real[i, AHEAD_X] * ahead_x + real[i, AHEAD_Y] * ahead_y < 0.0:
             # forward is judged anew (a lane has been learned): what the vehicle does has not changed
@@ -86,7 +88,7 @@ def _classify(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one pass over the trac
                 state = _MOVING + _ONCOMING - state
             whole[i, ZONE] = -whole[i, ZONE]
         real[i, AHEAD_X], real[i, AHEAD_Y] = ahead_x, ahead_y
-        speed = vx[i] * ahead_x + vy[i] * ahead_y
+        speed = plane[VX, r] * ahead_x + plane[VY, r] * ahead_y
         band = leave if state in (_STATIONARY, _START_STOP) else rest
         zone = 0 if abs(speed) <= band else (1 if speed > 0.0 else -1)
         whole[i, IN_A_ROW] = whole[i, IN_A_ROW] + 1 if zone == whole[i, ZONE] else 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.tracking.model import F32, I64, Bool, TrackEstimates, TrackStatus
+from service.tracking.model import F32, I64, TrackEstimates, TrackStatus
 from service.traffic.model import Moment, Samples, Trajectory, no_samples, take
 from service.traffic.vehicles import find
 
@@ -47,7 +47,7 @@ def no_paths() -> Paths:
 
 
 def follow(
-    paths: Paths, moment: Moment, now: TrackEstimates, p: PathParameters
+    paths: Paths, moment: Moment, now: TrackEstimates, across_std_m: F32, p: PathParameters
 ) -> tuple[Paths, tuple[Trajectory, ...]]:
     """Return the paths with the tracks of one more frame, and those of the tracks that are listed no more.
 
@@ -60,30 +60,24 @@ def follow(
         ended = _ended(paths, now.number)
         paths = _without_earlier(paths, now.number)
         x, y = _last_places(paths, now.number)
-    far = np.hypot(now.x_m - x, now.y_m - y) >= p.step_m
-    due = (far | np.isnan(x)) & (now.status == _CONFIRMED) & (not moment.tick)
     recent = paths.recent
-    if due.any():
-        x, y = np.where(due, now.x_m, x), np.where(due, now.y_m, y)
-        recent = (*recent, _samples(now, due, moment.time_us))
+    if not moment.tick:
+        near = np.hypot(now.x_m - x, now.y_m - y) < p.step_m  # not, where there is no sample yet
+        due = (~near & (now.status == _CONFIRMED)).nonzero()[0]
+        if len(due):
+            x, y = x.copy(), y.copy()
+            x[due], y[due] = now.x_m[due], now.y_m[due]
+            recent = (*recent, _samples(now, due, across_std_m, moment.time_us))
     paths = Paths(now.number, x, y, now.length_m, now.width_m, now.existence, paths.past, recent)
     return (_joined(paths, p) if len(recent) > p.join_after else paths), ended
 
 
-def _samples(now: TrackEstimates, due: Bool, time_us: int) -> Samples:
-    number = now.number[due]
-    time = np.full(len(number), time_us, dtype=np.int64)
+def _samples(now: TrackEstimates, due: I64, across_std_m: F32, time_us: int) -> Samples:
+    time = np.full(len(due), time_us, dtype=np.int64)
     return Samples(
-        number, time, now.x_m[due], now.y_m[due], now.vx_mps[due], now.vy_mps[due], now.lane[due],
-        across_std_m(now)[due],
+        now.number[due], time, now.x_m[due], now.y_m[due], now.vx_mps[due], now.vy_mps[due], now.lane[due],
+        across_std_m[due],
     )  # fmt: skip
-
-
-def across_std_m(now: TrackEstimates) -> F32:
-    """Return the standard deviation (T,) of each track's place across its heading."""
-    right, back = np.cos(now.heading_rad), -np.sin(now.heading_rad)
-    variance = (now.std_x_m * right) ** 2 + (now.std_y_m * back) ** 2 + 2.0 * now.cov_xy_m2 * right * back
-    return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
 
 def _last_places(paths: Paths, number: I64) -> tuple[F32, F32]:
@@ -117,6 +111,11 @@ def _without_earlier(paths: Paths, listed: I64) -> Paths:
     """Return the paths without samples of tracks that ended and are listed again: those were given out."""
     fresh = listed[find(paths.number, listed) < 0]
     tables = (paths.past, *paths.recent)
+    if not len(fresh):
+        return paths
+    # Numbers rise: hardly one that begins is not above all before it. Each recent table is in their order.
+    newest = (int(table.number[-1]) for table in paths.recent if len(table.number))
+    fresh = fresh[fresh <= max(int(paths.past.number.max(initial=0)), *newest, 0)]
     if not len(fresh) or not any(np.isin(fresh, table.number).any() for table in tables):
         return paths
     past, *recent = (take(table, ~np.isin(table.number, fresh)) for table in tables)

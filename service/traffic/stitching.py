@@ -14,8 +14,9 @@ import numpy as np
 
 from service.tracking.model import F64, I64, Bool
 from service.traffic.count_parameters import CountParameters
+from service.traffic.measured import PLANE, VX, VY, X, Y
 from service.traffic.vehicles import find
-from service.traffic.window import PLANE, VX, VY, Scan, X, Y
+from service.traffic.window import Scan
 
 _SLOW_MPS = 0.5  # below, the direction of a velocity means little and the axes of the cost are taken alike
 # rows of `whole`

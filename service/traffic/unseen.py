@@ -22,9 +22,10 @@ from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
 from service.traffic.crossings import LineStates, Pending, View
 from service.traffic.line_ways import Way, ways
+from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Joined, Vehicles
-from service.traffic.window import EXISTENCE, LENGTH, VX, VY, X, Y, past_of, samples_of
+from service.traffic.window import past_of, samples_of
 
 _SAME_LANE_M = 1.75  # from where one vehicle crosses a line to another in its lane
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line

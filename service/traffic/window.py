@@ -6,12 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.model import F64, I64, U8, TrackEstimates, TrackStatus
-
-_CONFIRMED = int(TrackStatus.CONFIRMED)
-# rows of `real`
-X, Y, VX, VY, LENGTH, EXISTENCE = range(6)
-PLANE = slice(X, LENGTH)  # place and velocity
+from service.tracking.model import F64, I64, U8, TrackEstimates
+from service.traffic.measured import EXISTENCE, Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +17,7 @@ class Scan:
     time_us: int
     frame: int  # its number
     number: I64
-    real: F64  # (6, T): x_m, y_m, vx_mps, vy_mps, length_m (NaN: not known yet), existence
+    real: F64  # (6, T): as in Measured, up to existence; the length is NaN while it is not known
     lane: U8  # index of the lane, 0: none
     born_us: I64  # when its first point was seen, long before it was certain enough to be listed
 
@@ -48,16 +44,12 @@ class Samples:
     frame: I64
 
 
-def scan_of(time_us: int, frame: int, estimates: TrackEstimates) -> Scan:
-    """Return the tracks that had a measurement in this frame; where others coast to is only a guess."""
-    e = estimates
-    columns = (e.x_m, e.y_m, e.vx_mps, e.vy_mps, e.length_m, e.existence)
-    real = np.array(columns, dtype=np.float64)
-    measured = e.status == _CONFIRMED
-    if measured.all():
+def scan_of(time_us: int, frame: int, estimates: TrackEstimates, measured: Measured) -> Scan:
+    """Return the tracks that had a measurement in this frame."""
+    e, row, real = estimates, measured.row, measured.real[: EXISTENCE + 1]
+    if measured.everybody:
         return Scan(time_us, frame, e.number, real, e.lane, e.born_us)
-    which = np.flatnonzero(measured)
-    return Scan(time_us, frame, e.number[which], real.take(which, axis=1), e.lane[which], e.born_us[which])
+    return Scan(time_us, frame, e.number[row], real, e.lane[row], e.born_us[row])
 
 
 def remember(window: tuple[Scan, ...], scan: Scan, window_us: int) -> tuple[Scan, ...]:

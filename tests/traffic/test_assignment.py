@@ -5,6 +5,7 @@ import pytest
 
 from service.tracking.model import TrackStatus
 from service.traffic.assignment import AssignmentParameters, assign, chart_of, unfinished
+from service.traffic.measured import measured_of
 from service.traffic.model import Lane, LaneMap, Moment
 from service.traffic.vehicles import aligned, lost, no_vehicles
 from tests.traffic.tracks import FRAME_US, START_US, estimates
@@ -39,7 +40,7 @@ def follow(chart, x_m, *, y_m=None, speed_mps=SPEED_MPS, status=None, std_m=0.1,
         now = estimates([1], x, y, 0.0, speed_mps, status=seen, std_m=std_m)
         vehicles = aligned(vehicles, now.number)
         moment = Moment(START_US + k * FRAME_US, k, tick=False)
-        found, changed = assign(vehicles, moment, now, chart, 1, parameters)
+        found, changed = assign(vehicles, moment, measured_of(now), chart, 1, parameters)
         lanes.append(int(found[0]))
         changes += changed
     return lanes, changes
@@ -132,7 +133,7 @@ def test_who_crosses_a_lane_is_not_in_it():
     now = estimates([1, 2], [0.1, 0.1], [60, 60], [12, 0], [0, 12])
     vehicles = aligned(no_vehicles(), now.number)
 
-    found, _ = assign(vehicles, Moment(START_US, 1, tick=False), now, TWO, 1, P)
+    found, _ = assign(vehicles, Moment(START_US, 1, tick=False), measured_of(now), TWO, 1, P)
 
     assert found.tolist() == [0, 1]
 
@@ -163,7 +164,9 @@ def test_who_is_lost_past_the_boundary_was_about_to_change():
     for k, x in enumerate(ramp(2.0, 4.0)[:91]):  # half a second behind the boundary
         now = estimates([1], x, 25 + SPEED_MPS * FRAME_US / 1e6 * k, 0.0, SPEED_MPS, std_m=0.1)
         vehicles = aligned(vehicles, now.number)
-        _, changed = assign(vehicles, Moment(START_US + k * FRAME_US, k, tick=False), now, TWO, 1, P)
+        _, changed = assign(
+            vehicles, Moment(START_US + k * FRAME_US, k, tick=False), measured_of(now), TWO, 1, P
+        )
         assert changed == ()
 
     (change,) = unfinished(

@@ -13,6 +13,7 @@ from service.traffic.counting import count, nothing_counted
 from service.traffic.edie import CellTable, edie_table
 from service.traffic.flow import Received
 from service.traffic.line_placing import place_lines
+from service.traffic.measured import measured_of
 from service.traffic.model import Lane, LaneMap, Moment
 from service.traffic.parameters import traffic_setup
 from service.traffic.records import MINUTE_US
@@ -34,10 +35,12 @@ def driven(places, *, vy_mps=-10.0, start_us=START_US, lane=1):
         now = estimates([1] if y is not None else [], 0.0, y or 0.0, 0.0, vy_mps)
         now.lane[:] = lane
         moment = Moment(start_us + k * FRAME_US, k, tick=False)
-        state, counts = count(state, moment, now, ROAD, SETUP)
+        state, counts = count(state, moment, now, measured_of(now), ROAD, SETUP)
         sums |= {(part.minute, part.map_version): part for part in counts.cells}
     end = Moment(start_us + len(places) * FRAME_US + 1_000_000, len(places), tick=True)
-    state, counts = count(state, end, estimates([], 0, 0, 0, 0), ROAD, SETUP)
+    state, counts = count(
+        state, end, estimates([], 0, 0, 0, 0), measured_of(estimates([], 0, 0, 0, 0)), ROAD, SETUP
+    )
     sums |= {(part.minute, part.map_version): part for part in counts.cells}
     return {
         (minute, int(row["cell"])): (float(row["distance_m"]), float(row["time_s"]))
@@ -115,7 +118,9 @@ def test_placed_lines_stay_while_the_map_has_the_same_lanes():
     nobody = estimates([], 0, 0, 0, 0)
 
     def lines_after(state, lanes, k):
-        state, _ = count(state, Moment(START_US + k * FRAME_US, k, tick=False), nobody, lanes, setup)
+        state, _ = count(
+            state, Moment(START_US + k * FRAME_US, k, tick=False), nobody, measured_of(nobody), lanes, setup
+        )
         return state, state.lines
 
     moved = [replace(lane, points_m=lane.points_m + np.array([0.2, 0.0])) for lane in ROAD.lanes]

@@ -9,6 +9,7 @@ from service.traffic.cells import ruler_of
 from service.traffic.counting import count, nothing_counted
 from service.traffic.crossing_lanes import lanes_at, way_across
 from service.traffic.lines import Line
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_LANE, NO_MAP, Lane, LaneMap, Moment
 from tests.traffic.test_crossings import SETUP, approach, drive, merged
 from tests.traffic.tracks import FRAME_US, START_US
@@ -68,7 +69,9 @@ def test_crossings_before_the_first_map_get_lanes_and_headways_with_it():
     state, blocks, told = nothing_counted(), {}, []
     for k, now in enumerate(frames):
         lanes = LANES if k == len(frames) - 1 else NO_MAP
-        state, counts = count(state, Moment(START_US + k * FRAME_US, k, tick=False), now, lanes, SETUP)
+        state, counts = count(
+            state, Moment(START_US + k * FRAME_US, k, tick=False), now, measured_of(now), lanes, SETUP
+        )
         told += counts.crossings
         blocks |= {(block.line_id, block.minute): block for block in counts.blocks}
     assert [x.lane for x in told] == [NO_LANE] * 3
@@ -97,7 +100,9 @@ def test_crossings_of_a_lane_that_a_new_map_cuts_get_the_number_of_their_part():
     state, blocks, told = nothing_counted(), {}, []
     for k, now in enumerate(frames):
         lanes = cut if k == len(frames) - 1 else LANES
-        state, counts = count(state, Moment(START_US + k * FRAME_US, k, tick=False), now, lanes, SETUP)
+        state, counts = count(
+            state, Moment(START_US + k * FRAME_US, k, tick=False), now, measured_of(now), lanes, SETUP
+        )
         told += counts.crossings
         blocks |= {(block.line_id, block.minute): block for block in counts.blocks}
     assert [(x.track, x.lane, x.map_version) for x in told] == [(1, 1, 1), (3, 2, 1), (2, 1, 1)]
@@ -119,7 +124,7 @@ def test_a_headway_over_time_without_frames_is_not_known():
         for k, now in enumerate(frames):
             if k not in blind:
                 moment = Moment(START_US + k * FRAME_US, k, tick=False)
-                state, counts = count(state, moment, now, LANES, SETUP)
+                state, counts = count(state, moment, now, measured_of(now), LANES, SETUP)
                 told |= {x.track: x.headway_s for x in counts.crossings}
 
         assert np.isnan(told[2]) == (len(blind) > 0)
@@ -133,7 +138,7 @@ def test_who_crossed_before_a_blind_stretch_and_is_told_after_it_leads_nobody():
     for k, now in enumerate(frames):
         if k not in range(40, 64):
             moment = Moment(START_US + k * FRAME_US, k, tick=False)
-            state, counts = count(state, moment, now, LANES, SETUP)
+            state, counts = count(state, moment, now, measured_of(now), LANES, SETUP)
             told |= {x.track: x.headway_s for x in counts.crossings}
 
     assert sorted(told) == [1, 2]

@@ -9,6 +9,7 @@ import pytest
 from service.formats.sensor import CountLine, SensorConfig
 from service.tracking.model import TrackStatus
 from service.traffic.counting import count, nothing_counted
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_MAP, Moment
 from service.traffic.parameters import traffic_setup
 from service.traffic.records import MINUTE_US
@@ -23,12 +24,14 @@ def watch(frames, *, ticks=5, setup=SETUP, period_us=FRAME_US, lanes=NO_MAP):
     """Return what became certain over the frames and the seconds after them, and the state then."""
     state, told = nothing_counted(), []
     for k, now in enumerate(frames):
-        state, counts = count(state, Moment(START_US + k * period_us, k, tick=False), now, lanes, setup)
+        state, counts = count(
+            state, Moment(START_US + k * period_us, k, tick=False), now, measured_of(now), lanes, setup
+        )
         told.append(counts)
     end_us = START_US + len(frames) * period_us
     for second in range(ticks):
         moment = Moment(end_us + second * 1_000_000, len(frames), tick=True)
-        state, counts = count(state, moment, NOBODY, lanes, setup)
+        state, counts = count(state, moment, NOBODY, measured_of(NOBODY), lanes, setup)
         told.append(counts)
     return told, state
 
@@ -208,7 +211,9 @@ def test_frames_received_are_told_at_once_each_ten_seconds_and_finally():
 def test_time_without_frames_is_not_observed():
     state = nothing_counted()
     for k in [*range(100), *range(300, 400)]:  # ten seconds are missing
-        state, _ = count(state, Moment(START_US + k * FRAME_US, k, tick=False), NOBODY, NO_MAP, SETUP)
+        state, _ = count(
+            state, Moment(START_US + k * FRAME_US, k, tick=False), NOBODY, measured_of(NOBODY), NO_MAP, SETUP
+        )
 
     assert sum(part.observed_us for part in state.coverage.minutes) == pytest.approx(9.95e6, abs=1)
 

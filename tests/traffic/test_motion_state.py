@@ -4,6 +4,7 @@ import numpy as np
 
 from service.tracking.model import MotionState, TrackStatus
 from service.traffic.assignment import chart_of
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_MAP, LaneMap, Moment
 from service.traffic.motion_state import MotionParameters, classify
 from service.traffic.vehicles import LANE, aligned, no_vehicles
@@ -23,7 +24,9 @@ def states(speed_mps, *, hz=20.0, status=None, chart=NOWHERE, index=0, forward=F
         vehicles = aligned(vehicles, now.number)
         vehicles.whole[:, LANE] = index if np.isscalar(index) else index[k]
         moment = Moment(START_US + round(1e6 * k / hz), k, tick=False)
-        out.append(int(classify(vehicles, moment, now, chart, forward, p or MotionParameters())[0]))
+        out.append(
+            int(classify(vehicles, moment, measured_of(now), chart, forward, p or MotionParameters())[0])
+        )
     return out
 
 

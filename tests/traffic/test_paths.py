@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.tracking.model import TrackStatus
+from service.traffic.measured import measured_of
 from service.traffic.model import Moment
 from service.traffic.paths import PathParameters, follow, no_paths
 from tests.traffic.tracks import FRAME_US, START_US, estimates
@@ -12,8 +13,9 @@ def watch(frames, parameters=None):
     """Return the paths after the frames, and the trajectories that they gave out."""
     paths, finished = no_paths(), []
     for k, now in enumerate(frames):
+        moment = Moment(START_US + k * FRAME_US, k, tick=False)
         paths, ended = follow(
-            paths, Moment(START_US + k * FRAME_US, k, tick=False), now, parameters or PathParameters()
+            paths, moment, now, measured_of(now).across_std_m, parameters or PathParameters()
         )
         finished += ended
     return paths, finished

@@ -5,6 +5,7 @@ import pytest
 
 from service.formats.sensor import CountLine, SensorConfig
 from service.traffic.counting import count, nothing_counted
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_MAP, LaneMap, Moment
 from service.traffic.parameters import traffic_setup
 from tests.traffic.test_crossing_lanes import LANES, lane
@@ -79,7 +80,7 @@ def test_a_crossing_before_the_first_frame_or_in_time_without_frames_was_not_obs
     for k, now in enumerate([NOBODY, *frames]):
         now.born_us[:] = START_US + gap_us
         moment = Moment(START_US + (gap_us if k else 0) + k * FRAME_US, k, tick=False)
-        state, counts = count(state, moment, now, LANES, FAR)
+        state, counts = count(state, moment, now, measured_of(now), LANES, FAR)
         told += counts.crossings
     assert told == []
 

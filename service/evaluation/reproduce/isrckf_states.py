@@ -10,6 +10,7 @@ import numpy as np
 from service.evaluation.reproduce.form import Cell, Figure, Kind, Line, Panel, Table, mean_and_error
 from service.tracking.model import F64, MotionState, TrackEstimates, TrackStatus
 from service.traffic.assignment import chart_of
+from service.traffic.measured import measured_of
 from service.traffic.model import NO_MAP, Moment
 from service.traffic.motion_state import MotionParameters, classify
 from service.traffic.vehicles import aligned, no_vehicles
@@ -58,9 +59,10 @@ def judge(seed: int, run: int = 0) -> Judged:
     vehicles, nowhere, states = no_vehicles(), chart_of(NO_MAP), []
     for k, v in enumerate(speed):
         now = _one_vehicle(float(v))
+        measured = measured_of(now)
         vehicles = aligned(vehicles, now.number)
         moment = Moment(round(1e6 * k / RATE_HZ), k, tick=False)
-        states.append(int(classify(vehicles, moment, now, nowhere, 0.0, MotionParameters())[0]))
+        states.append(int(classify(vehicles, moment, measured, nowhere, 0.0, MotionParameters())[0]))
     changes = [
         (MotionState(b).name, float(s)) for a, b, s in zip(states, states[1:], t[1:], strict=False) if a != b
     ]
