@@ -23,15 +23,11 @@ class ExtentParameters:
     end_margin_share: float = 0.07  # ... or, of a long vehicle, this share of its length
     told_points: float = 4.0  # points a hit from which extents tell both ends of a car ...
     told_points_per_m: float = 0.65  # ... and of a longer vehicle; fewer tell only how long it is at least
-    told_aspect_rad: float = (
-        0.45  # ... as do those of a vehicle that is further from end-on: others hide its end
-    )
+    told_aspect_rad: float = 0.45  # ... as do those of one further from end-on: others hide its end
     growth_m: float = 0.25  # most that the length grows in a frame
     edge_growth_m: float = 0.8  # ... while the box enters or leaves the view
     shrink_m: float = 0.05
-    frozen_below_mps: float = (
-        2.5  # slower boxes stop growing: noise and the next car in the queue inflate them
-    )
+    frozen_below_mps: float = 2.5  # slower boxes stop growing: noise and the next in the queue inflate them
     frozen_after_hits: int = 15
     length_min_m: float = 2.2
     length_max_m: float = 19.0
@@ -47,9 +43,7 @@ class ExtentParameters:
     assumed_hits: int = 40  # until then the car's length is but assumed, and given up as fast as a box grows
     turn_above_mps: float = 1.0
     turn_certainty: float = 2.5  # the box turns once its speed is so many standard deviations
-    turn_rate_gain: float = (
-        0.01  # 1: a critically damped alpha-beta filter; 0: vehicles are not taken to turn on
-    )
+    turn_rate_gain: float = 0.01  # 1: a critically damped alpha-beta filter; 0: nobody is taken to turn on
     turn_rate_decay_s: float = 3.0
     turn_memory_frames: float = 2.0  # frames over which the error of a velocity's direction repeats itself
     wander_radius_m: float = 20.0  # vehicles turn this sharply as a rule, for about a second
@@ -87,6 +81,10 @@ class ExtentParameters:
     held_noise_times: float = 30.0  # its places err alike frame after frame, and are worth so much less
     held_step_m: float = 0.01  # most that the points move it in a frame, end-on ...
     held_side_on_step_m: float = 0.03  # ... and side-on, where the range rate tells little
+    # side-on no range rate tells that a vehicle drives off, but its points do, all of them, frame after frame
+    ahead_gain: float = 0.15  # weight of the newest frame in the mean of how far ahead they put its box ...
+    ahead_below_mps: float = 3.0  # ... which is taken below this speed
+    ahead_free_m: float = 0.8  # mean from which the box is held no more, and not taken to stand
     # a vehicle without a range rate and with little speed is taken to stand
     still_range_rate_mps: float = 0.25
     still_speed_mps: float = 1.5
@@ -143,7 +141,7 @@ def learn(
          p.sideways_full_mps, p.sideways_least),
     )  # fmt: skip
     _stand_still(
-        mean, cov, heading, hit,
+        mean, cov, heading, hit & (np.abs(tracks.ahead_m) <= p.ahead_free_m),
         (p.still_range_rate_mps, p.still_speed_mps, p.still_std_mps, p.still_side_on_mps),
     )  # fmt: skip
     return tracks.but(

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from service.tracking.boxes import M_COUNT, M_U
 from service.tracking.extent import ExtentParameters
 from service.tracking.kernel import kernel
-from service.tracking.model import F64, I64
+from service.tracking.model import F64, Bool
 from service.tracking.state import Tracks
+
+SIDE_ON_COSINE = 0.5  # of the aspect, up to which the side is seen and not an end
+AHEAD_MOST_M = 3.0  # that one frame says of how far a box has to go on
 
 
 def held_noise(tracks: Tracks, predicted: F64, R: F64, p: ExtentParameters) -> F64:
@@ -20,14 +26,19 @@ def held_noise(tracks: Tracks, predicted: F64, R: F64, p: ExtentParameters) -> F
     if not len(tracks):
         return R
     out = R.copy()
-    _spread(out, predicted, tracks.hits, p.held_hits, p.held_below_mps, p.held_noise_times)
+    _spread(out, predicted, _settled(tracks, p), p.held_below_mps, p.held_noise_times)
     return out
 
 
+def _settled(tracks: Tracks, p: ExtentParameters) -> Bool:
+    """Return which boxes (T,) are settled, and not carried on by their points."""
+    return np.asarray((tracks.hits >= p.held_hits) & (np.abs(tracks.ahead_m) <= p.ahead_free_m))
+
+
 @kernel
-def _spread(R: F64, predicted: F64, hits: I64, settled: int, below: float, times: float) -> None:
-    for i in range(len(hits)):
-        if hits[i] >= settled and math.hypot(predicted[i, 1], predicted[i, 4]) <= below:
+def _spread(R: F64, predicted: F64, settled: Bool, below: float, times: float) -> None:
+    for i in range(len(settled)):
+        if settled[i] and math.hypot(predicted[i, 1], predicted[i, 4]) <= below:
             for j in range(R.shape[1]):
                 for r in range(2):
                     for c in range(2):
@@ -44,24 +55,47 @@ def hold(tracks: Tracks, predicted: F64, mean: F64, p: ExtentParameters) -> F64:
         return mean
     out = mean.copy()
     limits = (p.held_below_mps, p.held_step_m, p.held_side_on_step_m)
-    _hold(out, predicted, tracks.heading_rad, tracks.hits, p.held_hits, limits)
+    _hold(out, predicted, tracks.heading_rad, _settled(tracks, p), limits)
     return out
 
 
 @kernel
-def _hold(
-    mean: F64, predicted: F64, heading: F64, hits: I64, settled: int, limits: tuple[float, float, float]
-) -> None:
+def _hold(mean: F64, predicted: F64, heading: F64, settled: Bool, limits: tuple[float, float, float]) -> None:
     below, step, side_on = limits
-    for i in range(len(hits)):
-        if hits[i] < settled or math.hypot(predicted[i, 1], predicted[i, 4]) > below:
+    for i in range(len(settled)):
+        if not settled[i] or math.hypot(predicted[i, 1], predicted[i, 4]) > below:
             continue
         if math.hypot(mean[i, 1], mean[i, 4]) > below:
             continue
         end_on = abs(math.cos(heading[i] - math.atan2(predicted[i, 0], predicted[i, 3])))
-        most = step if end_on > 0.5 else side_on
+        most = step if end_on > SIDE_ON_COSINE else side_on
         dx, dy = mean[i, 0] - predicted[i, 0], mean[i, 3] - predicted[i, 3]
         far = math.hypot(dx, dy)
         if far > most:
             mean[i, 0] = predicted[i, 0] + dx * most / far
             mean[i, 3] = predicted[i, 3] + dy * most / far
+
+
+def watch_ends(tracks: Tracks, measured: F64, hit: Bool, p: ExtentParameters) -> Tracks:
+    """Return the tracks after an update with the mean of how far ahead its points put each slow box.
+
+    measured (T, MEASUREMENT_COLUMNS) of each track's own points, hit (T,). A vehicle seen side-on that drives
+    off has no range rate to tell of it, and is held; but both ends of its row of points go on ahead of the
+    box, where of one that stands now this end answers and now that.
+    """
+    if not len(tracks):
+        return tracks
+    ahead = tracks.ahead_m.copy()
+    _watch(tracks.mean, tracks.heading_rad, measured, hit, ahead, p.ahead_gain, p.ahead_below_mps)
+    return tracks.but(ahead_m=ahead)
+
+
+@kernel
+def _watch(mean: F64, heading: F64, measured: F64, hit: Bool, ahead: F64, gain: float, below: float) -> None:
+    for i in range(len(ahead)):
+        if math.hypot(mean[i, 1], mean[i, 4]) > below:
+            ahead[i] = 0.0
+        elif hit[i] and measured[i, M_COUNT] > 0.0:
+            aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
+            if abs(math.cos(aspect)) <= SIDE_ON_COSINE:
+                ahead[i] += gain * (min(max(measured[i, M_U], -AHEAD_MOST_M), AHEAD_MOST_M) - ahead[i])

@@ -283,7 +283,9 @@ def _track(
     watch("recover")
     across_std_rad = math.hypot(0.5 * p.sensor.azimuth_std_rad, p.sensor.azimuth_floor_rad)
     one_way, along = road_map.one_way_at(state.road, tracks.x_m, tracks.y_m, p.road)
-    tracks = extent.learn(tracks, a.measured, a.miss < 0.5, one_way, along, across_std_rad, dt_s, p.extent)
+    hit = a.miss < 0.5
+    tracks = holding.watch_ends(tracks, a.measured, hit, p.extent)
+    tracks = extent.learn(tracks, a.measured, hit, one_way, along, across_std_rad, dt_s, p.extent)
     watch("extent")
     return tracks, a, trails
 

@@ -13,6 +13,7 @@ from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
     M_TURN,
+    M_U,
     M_U_MAX,
     M_U_MEAN,
     M_U_MIN,
@@ -273,6 +274,50 @@ def test_a_box_that_moves_or_is_young_goes_where_its_points_are(before_mps, afte
     after = one_track(vy=after_mps, y=61.0).mean
 
     np.testing.assert_array_equal(holding.hold(track, track.mean, after, ExtentParameters()), after)
+
+
+def watched(track, ahead_m, *, frames=20, hit=True):
+    """Return the track after frames whose points put it so far ahead."""
+    measured = np.zeros((1, MEASUREMENT_COLUMNS))
+    measured[0, [M_COUNT, M_U]] = 4.0, ahead_m
+    for _ in range(frames):
+        track = holding.watch_ends(track, measured, np.array([hit]), ExtentParameters())
+    return track
+
+
+def test_a_vehicle_seen_side_on_that_drives_off_is_held_no_more():
+    track = one_track(heading_rad=math.pi / 2)
+    after, R = track.mean + np.array([0.3, 0.0, 0.0, 0.4, 0.0, 0.0]), np.ones((1, 2, 3, 3))
+    off = watched(track, 1.0)
+
+    np.testing.assert_array_equal(holding.hold(off, off.mean, after, ExtentParameters()), after)
+    np.testing.assert_array_equal(holding.held_noise(off, off.mean, R, ExtentParameters()), R)
+
+
+@pytest.mark.parametrize("changes", [{"frames": 5}, {"ahead_m": 0.7}, {"hit": False}])
+def test_a_box_is_held_until_its_points_have_gone_on_for_a_while(changes):
+    track = watched(one_track(heading_rad=math.pi / 2), **({"ahead_m": 1.0} | changes))
+    after = track.mean + np.array([0.3, 0.0, 0.0, 0.4, 0.0, 0.0])
+
+    assert np.abs(holding.hold(track, track.mean, after, ExtentParameters()) - track.mean).max() < 0.03
+
+
+def test_the_ends_are_watched_of_slow_boxes_seen_side_on():
+    assert watched(one_track(heading_rad=math.pi / 2), 1.0).ahead_m[0] > 0.9
+    assert (
+        watched(one_track(heading_rad=math.pi / 2), 9.0).ahead_m[0] < 3.0
+    )  # a neighbour's point now and then
+    assert watched(one_track(heading_rad=0.0), 1.0).ahead_m[0] == 0.0  # end-on the range rate tells
+    moving = one_track(heading_rad=math.pi / 2, vx=4.0).but(ahead_m=np.array([1.0]))
+    assert watched(moving, 1.0).ahead_m[0] == 0.0
+
+
+def test_what_drives_off_is_not_taken_to_stand():
+    track = one_track(heading_rad=math.pi / 2, vx=1.0, vy=0.0, speed_var=1.0).but(ahead_m=np.array([1.0]))
+    for _ in range(40):
+        track = learn(track)
+
+    assert track.speed_mps[0] == pytest.approx(1.0, abs=0.05)
 
 
 def test_what_has_no_range_rate_is_taken_to_stand():
