@@ -124,7 +124,7 @@ def retrace(
 def unfinished(gone: Vehicles, now_us: int, version: int, p: AssignmentParameters) -> tuple[LaneChange, ...]:
     """Return the changes that vehicles which are followed no more were about to make: past the boundary."""
     whole, real = gone.whole, gone.real
-    if not whole[:, CANDIDATE].any():
+    if not len(whole):
         return ()
     over = (whole[:, CANDIDATE] > 0) & (whole[:, PAST_US] > 0)
     over &= whole[:, CROSSED_US] - whole[:, ENTERED_US] >= 1e6 * p.settle_s

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -98,23 +99,19 @@ def drive(
     """Return the open minutes with the ways that ended in this scan; lane: (T,) of its tracks."""
     if not ruler.lane:
         return minutes
-    place = np.full(MOST_LANES + 1, -1)  # of each lane in the ruler
-    place[list(ruler.lane)] = np.arange(len(ruler.lane))
-    known = joined.measured >= 0
-    if joined.origin is not None:
-        known &= joined.origin >= 0
-    rows = np.flatnonzero(known)
-    which = place[lane[joined.measured[rows]]]
-    x, y = joined.vehicles.real[:2].take(rows, axis=1)
-    from_x, from_y, from_us = joined.from_x_m[rows], joined.from_y_m[rows], joined.from_us[rows]
+    which, from_us, (x, y) = _lanes(joined, lane, ruler), joined.from_us, joined.vehicles.real[:2]
     now = time_us // MINUTE_US
-    parts = _opened(minutes, ruler, now, from_us[which >= 0])
-    current = parts[now, ruler.version] = _own(parts[now, ruler.version])
+    parts = {(one.minute, one.version): one for one in minutes}
+    current = parts.get((now, ruler.version))
+    current = parts[now, ruler.version] = _blank(now, ruler) if current is None else _own(current)
     ways, cut = _drive(
-        ruler.points_m, ruler.first, np.array(ruler.cells), which, from_x, from_y, x, y, from_us, time_us,
-        MINUTE_US, ruler.cell_m, current.distance_m, current.time_s,
+        ruler.points_m, ruler.first, np.array(ruler.cells), which, joined.from_x_m, joined.from_y_m, x, y,
+        from_us, time_us, MINUTE_US, ruler.cell_m, current.distance_m, current.time_s,
     )  # fmt: skip
     if len(cut):
+        for minute in set((from_us[cut] // MINUTE_US).tolist()):
+            if (minute, ruler.version) not in parts and minute > now - OPEN_MINUTES:
+                parts[minute, ruler.version] = _blank(minute, ruler)
         own = {now}
         for k in cut.tolist():
             ends = (float(ways[0, k]), float(ways[1, k]), int(from_us[k]), time_us)
@@ -128,6 +125,25 @@ def drive(
                 parts[key].distance_m[which[k], cell] += metres
                 parts[key].time_s[which[k], cell] += seconds
     return tuple(parts[key] for key in sorted(parts))
+
+
+def _lanes(joined: Joined, lane: U8, ruler: Ruler) -> I64:
+    """Return (V,) the place in the ruler of each vehicle's lane, -1 if it was not measured now and before."""
+    if not len(lane):
+        return np.full(len(joined.vehicles), -1)
+    which: I64 = _places(ruler.lane)[lane[joined.measured]]
+    which[joined.measured < 0] = -1
+    if joined.origin is not None:
+        which[joined.origin < 0] = -1
+    return which
+
+
+@lru_cache(maxsize=256)  # sensors of one process
+def _places(lanes: tuple[int, ...]) -> I64:
+    """Return the place of each lane's index among these, -1 where it is not."""
+    place = np.full(MOST_LANES + 1, -1)
+    place[list(lanes)] = np.arange(len(lanes))
+    return place
 
 
 def along(points_m: F64, x_m: F64, y_m: F64) -> F64:
@@ -186,18 +202,6 @@ def _drive(  # noqa: PLR0913, PLR0917 - one pass over the ways; arrays are its l
             distance_m[k, cell] += end - begin
             time_s[k, cell] += (time_us - from_us[i]) / 1e6
     return ways, cut[:count]
-
-
-def _opened(
-    minutes: tuple[MinuteCells, ...], ruler: Ruler, now: int, from_us: I64
-) -> dict[tuple[int, int], MinuteCells]:
-    """Return the open minutes by minute and map, with those in which the ways lie."""
-    parts = {(one.minute, one.version): one for one in minutes}
-    begun = from_us.min(initial=now * MINUTE_US) // MINUTE_US
-    for minute in {now} if begun == now else {now, *(from_us // MINUTE_US).tolist()}:
-        if (minute, ruler.version) not in parts and minute > now - OPEN_MINUTES:
-            parts[minute, ruler.version] = _blank(minute, ruler)
-    return parts
 
 
 def _own(minute: MinuteCells) -> MinuteCells:

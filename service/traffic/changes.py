@@ -19,7 +19,7 @@ class Changes:
     """What waits for its judgement, and whom a vehicle may have been taken for."""
 
     pending: tuple[LaneChange, ...]
-    ended: tuple[Trajectory, ...]  # of the last seconds
+    ended: tuple[Trajectory, ...]  # of the last seconds; older ones go when one comes or the last is old
 
 
 def no_changes() -> Changes:
@@ -37,12 +37,13 @@ def confirm(  # noqa: PLR0913, PLR0917 - the state, what is new, and what it is 
     p: ChangeParameters,
 ) -> tuple[Changes, tuple[LaneChange, ...]]:
     """Return the state after a frame, and the changes that are sure: seen for long enough, or to the end."""
-    ended = changes.ended
-    if finished or ended:
-        ended = tuple(x for x in (*ended, *finished) if x.ended_us >= now_us - _KEEP_US)
     waiting = (*changes.pending, *found)
+    late_us = now_us - _KEEP_US
+    if not waiting and not finished and (not changes.ended or changes.ended[-1].ended_us >= late_us):
+        return changes, ()
+    ended = tuple(x for x in (*changes.ended, *finished) if x.ended_us >= late_us)
     if not waiting:
-        return (changes if ended is changes.ended else Changes((), ended)), ()
+        return Changes((), ended), ()
     live = set(paths.number.tolist())
     due = [x for x in waiting if now_us - x.time_us >= 1e6 * p.wait_s or x.number not in live]
     if not due:

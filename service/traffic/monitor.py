@@ -23,7 +23,7 @@ from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
 from service.traffic.steps import at_once
-from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, lost, no_vehicles
+from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, no_vehicles, parted
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ def step(
     p = setup.parameters
     state, found, traced, coming = _map_in_force(state, moment, setup)
     version = state.map.version
-    left = unfinished(lost(state.vehicles, estimates.number), moment.time_us, version, p.assignment)
-    vehicles = aligned(state.vehicles, estimates.number)
+    vehicles, gone = parted(state.vehicles, estimates.number)
+    left = unfinished(gone, moment.time_us, version, p.assignment)
     measured = measured_of(estimates)
     lane, crossed = assign(vehicles, moment, measured, state.chart, version, p.assignment)
     motion = classify(vehicles, moment, measured, state.chart, setup.travel_heading_rad, p.motion)

@@ -58,8 +58,9 @@ def follow(
         x, y = paths.x_m, paths.y_m
     else:
         ended = _ended(paths, now.number)
-        paths = _without_earlier(paths, now.number)
-        x, y = _last_places(paths, now.number)
+        before = find(paths.number, now.number)
+        paths = _without_earlier(paths, now.number[before < 0])
+        x, y = _last_places(paths, before)
     recent = paths.recent
     if not moment.tick:
         near = np.hypot(now.x_m - x, now.y_m - y) < p.step_m  # not, where there is no sample yet
@@ -80,13 +81,14 @@ def _samples(now: TrackEstimates, due: I64, across_std_m: F32, time_us: int) -> 
     )  # fmt: skip
 
 
-def _last_places(paths: Paths, number: I64) -> tuple[F32, F32]:
+def _last_places(paths: Paths, before: I64) -> tuple[F32, F32]:
     """Return where the last sample of each track now listed was taken, NaN for a new one."""
-    x, y = np.full((2, len(number)), np.nan, dtype=np.float32)
-    before = find(paths.number, number)
-    here = np.flatnonzero(before >= 0)
-    x[here], y[here] = paths.x_m[before[here]], paths.y_m[before[here]]
-    return x, y
+    known = before >= 0
+    if not known.any():
+        x, y = np.full((2, len(before)), np.nan, dtype=np.float32)
+        return x, y
+    nowhere = np.float32(np.nan)
+    return np.where(known, paths.x_m[before], nowhere), np.where(known, paths.y_m[before], nowhere)
 
 
 def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
@@ -107,9 +109,8 @@ def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
     )
 
 
-def _without_earlier(paths: Paths, listed: I64) -> Paths:
+def _without_earlier(paths: Paths, fresh: I64) -> Paths:
     """Return the paths without samples of tracks that ended and are listed again: those were given out."""
-    fresh = listed[find(paths.number, listed) < 0]
     tables = (paths.past, *paths.recent)
     if not len(fresh):
         return paths

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.traffic.count_parameters import CountParameters
 from service.traffic.measured import PLANE, VX, VY, X, Y
-from service.traffic.vehicles import find
 from service.traffic.window import Scan
 
 _SLOW_MPS = 0.5  # below, the direction of a velocity means little and the axes of the cost are taken alike
@@ -85,67 +85,92 @@ def no_vehicles() -> Vehicles:
 
 def join(before: Vehicles, scan: Scan, p: CountParameters) -> Joined:
     """Return the vehicles after a scan: pieces joined, those lost for longer than a gap forgotten."""
-    gap_us = round(p.stitch_gap_s * 1e6)
-    place = find(scan.number, before.number)  # of each vehicle in the scan
-    fresh = find(before.number, scan.number) < 0
-    starts = np.flatnonzero(fresh)
-    stay = (place >= 0) | (scan.time_us - before.last_us <= gap_us)
-    if not len(starts) and stay.all():
-        return _same(before, scan, place)
-    takes = _takes(before, np.flatnonzero(place < 0), scan, starts, p)
-    for start, end in takes:
-        place[end], stay[end], fresh[start] = start, True, False
-    starts = np.flatnonzero(fresh)
-    origin = np.concatenate([np.flatnonzero(stay), np.full(len(starts), -1)])
-    measured = np.concatenate([place[stay], starts])
-    number = np.where(measured >= 0, scan.number[measured] if len(scan.number) else 0, 0)
-    number = np.where(measured >= 0, number, before.number[origin] if len(before) else 0)
-    order = np.argsort(number, kind="stable")
-    origin, measured, number = origin[order], measured[order], number[order]
-    return _joined(before, scan, origin, measured, number)
-
-
-def _same(before: Vehicles, scan: Scan, measured: I64) -> Joined:
-    """Return the vehicles of before, carried on by the same tracks."""
-    seen = measured >= 0
-    whole = before.whole.copy()
-    whole[LAST_US][seen] = scan.time_us
-    real = _newest(scan, measured, seen, before.real)
-    return Joined(
-        Vehicles(whole, real), None, measured, before.last_us, before.real[X], before.real[Y], before.number
+    place, stay, starts = _found(before.whole, scan.number, scan.time_us, round(p.stitch_gap_s * 1e6))
+    same = not len(starts) and bool(stay.all())
+    if len(starts):
+        for start, end in _takes(before, np.flatnonzero(place < 0), scan, starts, p):
+            place[end], stay[end] = start, True
+            starts = starts[starts != start]
+    whole, real, links, from_m = _carried(
+        before.whole, before.real, place, stay, starts, scan.number, scan.real, scan.born_us, scan.time_us
     )
-
-
-def _joined(before: Vehicles, scan: Scan, origin: I64, measured: I64, number: I64) -> Joined:
-    new, seen = origin < 0, measured >= 0
-    # what stands at -1 means nothing
-    blank = Vehicles(
-        np.zeros((_WHOLE_ROWS, len(origin)), dtype=np.int64), np.zeros((_REAL_ROWS, len(origin)))
-    )
-    old = before.take(origin) if len(before) else blank
-    whole = old.whole.copy()
-    whole[NUMBER] = number
-    whole[VEHICLE][new] = number[new]
-    whole[FIRST_US][new] = scan.time_us
-    whole[TRACK_US][new | (number != old.number)] = scan.time_us
-    whole[LAST_US][seen] = scan.time_us
-    real = _newest(scan, measured, seen, old.real)
-    born_us = np.where(seen, scan.born_us[measured], whole[TRACK_US]) if len(scan.number) else whole[TRACK_US]
-    age_us = scan.time_us - born_us
     return Joined(
         vehicles=Vehicles(whole, real),
-        origin=origin,
-        measured=measured,
-        from_us=np.where(new, scan.time_us - age_us, old.last_us),
-        from_x_m=np.where(new, real[X] - real[VX] * age_us / 1e6, old.real[X]),
-        from_y_m=np.where(new, real[Y] - real[VY] * age_us / 1e6, old.real[Y]),
-        from_number=np.where(new, number, old.number),
+        origin=None if same else links[_ORIGIN],
+        measured=links[_MEASURED],
+        from_us=links[_FROM_US],
+        from_x_m=from_m[X],
+        from_y_m=from_m[Y],
+        from_number=links[_FROM_NUMBER],
     )
 
 
-def _newest(scan: Scan, measured: I64, seen: Bool, old: F64) -> F64:
-    """Return places and velocities (4, V): those of the scan where a vehicle is in it."""
-    return np.where(seen, scan.real[PLANE].take(measured, axis=1), old) if len(scan.number) else old
+@kernel
+def _found(whole: I64, number: I64, time_us: int, gap_us: int) -> tuple[I64, Bool, I64]:
+    """Return the place in the scan of each vehicle, -1 for none, who is not forgotten, and who begins."""
+    place, stay = np.full(whole.shape[1], -1), np.zeros(whole.shape[1], np.bool_)
+    starts, count, k = np.empty(len(number), np.int64), 0, 0
+    for i in range(whole.shape[1]):
+        while k < len(number) and number[k] < whole[NUMBER, i]:
+            starts[count] = k
+            count += 1
+            k += 1
+        if k < len(number) and number[k] == whole[NUMBER, i]:
+            place[i] = k
+            k += 1
+        stay[i] = place[i] >= 0 or time_us - whole[LAST_US, i] <= gap_us
+    for rest in range(k, len(number)):
+        starts[count] = rest
+        count += 1
+    return place, stay, starts[:count]
+
+
+# rows of `links`
+_ORIGIN, _MEASURED, _FROM_US, _FROM_NUMBER = range(4)
+
+
+@kernel
+def _carried(  # noqa: PLR0913, PLR0917 - one pass over the vehicles; arrays are its language
+    before: I64, before_real: F64, place: I64, stay: Bool, starts: I64, number: I64, scanned: F64,
+    born_us: I64, time_us: int,
+) -> tuple[I64, F64, I64, F64]:  # fmt: skip
+    """Return the vehicles after a scan by number: both tables, links to those before, and places then."""
+    order, count = np.empty((3, len(stay) + len(starts)), np.int64), 0  # number, origin, measured
+    for i in range(len(stay) + len(starts)):
+        origin = i if i < len(stay) else -1
+        if origin >= 0 and not stay[i]:
+            continue
+        measured = place[i] if origin >= 0 else starts[i - len(stay)]
+        mine = number[measured] if measured >= 0 else before[NUMBER, i]
+        k = count  # nearly all are in order already
+        while k > 0 and order[0, k - 1] > mine:
+            for row in range(3):
+                order[row, k] = order[row, k - 1]
+            k -= 1
+        order[0, k], order[1, k], order[2, k] = mine, origin, measured
+        count += 1
+    whole, real = np.empty((_WHOLE_ROWS, count), np.int64), np.empty((_REAL_ROWS, count))
+    links, from_m = np.empty((4, count), np.int64), np.empty((2, count))
+    for k in range(count):
+        mine, origin, measured = order[0, k], order[1, k], order[2, k]
+        for row in range(_REAL_ROWS):
+            real[row, k] = scanned[row, measured] if measured >= 0 else before_real[row, origin]
+        links[_ORIGIN, k], links[_MEASURED, k] = origin, measured
+        whole[NUMBER, k] = mine
+        if origin < 0:
+            whole[VEHICLE, k] = mine
+            whole[FIRST_US, k] = whole[TRACK_US, k] = whole[LAST_US, k] = time_us
+            links[_FROM_US, k], links[_FROM_NUMBER, k] = born_us[measured], mine
+            age_us = time_us - born_us[measured]
+            from_m[X, k] = real[X, k] - real[VX, k] * age_us / 1e6
+            from_m[Y, k] = real[Y, k] - real[VY, k] * age_us / 1e6
+            continue
+        whole[VEHICLE, k], whole[FIRST_US, k] = before[VEHICLE, origin], before[FIRST_US, origin]
+        whole[TRACK_US, k] = before[TRACK_US, origin] if mine == before[NUMBER, origin] else time_us
+        whole[LAST_US, k] = time_us if measured >= 0 else before[LAST_US, origin]
+        links[_FROM_US, k], links[_FROM_NUMBER, k] = before[LAST_US, origin], before[NUMBER, origin]
+        from_m[X, k], from_m[Y, k] = before_real[X, origin], before_real[Y, origin]
+    return whole, real, links, from_m
 
 
 def _takes(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64
 
 # columns of `whole`
@@ -35,16 +36,43 @@ def no_vehicles(number: I64 | None = None) -> Vehicles:
     return Vehicles(known, whole, np.zeros((len(known), REAL_COLUMNS)))
 
 
+_NOBODY = no_vehicles()
+
+
+def parted(vehicles: Vehicles, number: I64) -> tuple[Vehicles, Vehicles]:
+    """Return the tracks now listed, in tables of their own that may be written to, and those now gone."""
+    if np.array_equal(vehicles.number, number):
+        return Vehicles(number, vehicles.whole.copy(), vehicles.real.copy()), _NOBODY
+    whole, real, gone = _parted(vehicles.number, vehicles.whole, vehicles.real, number)
+    if not len(gone):
+        return Vehicles(number, whole, real), _NOBODY
+    left = Vehicles(vehicles.number[gone], vehicles.whole[gone], vehicles.real[gone])
+    return Vehicles(number, whole, real), left
+
+
 def aligned(vehicles: Vehicles, number: I64) -> Vehicles:
     """Return the tracks now listed, in tables of their own that may be written to."""
-    if np.array_equal(vehicles.number, number):
-        return Vehicles(number, vehicles.whole.copy(), vehicles.real.copy())
-    found = no_vehicles(number)
-    before = find(vehicles.number, number)
-    here = np.flatnonzero(before >= 0)
-    before = before[here]
-    found.whole[here], found.real[here] = vehicles.whole[before], vehicles.real[before]
-    return found
+    return parted(vehicles, number)[0]
+
+
+@kernel
+def _parted(before: I64, whole: I64, real: F64, number: I64) -> tuple[I64, F64, I64]:
+    """Return the tables of the tracks that are listed now, and the rows of those before that are not."""
+    now_whole = np.zeros((len(number), whole.shape[1]), np.int64)
+    now_real = np.zeros((len(number), real.shape[1]))
+    gone, count, k = np.empty(len(before), np.int64), 0, 0
+    for i in range(len(before)):
+        while k < len(number) and number[k] < before[i]:
+            k += 1
+        if k == len(number) or number[k] != before[i]:
+            gone[count] = i
+            count += 1
+            continue
+        for column in range(whole.shape[1]):
+            now_whole[k, column] = whole[i, column]
+        for column in range(real.shape[1]):
+            now_real[k, column] = real[i, column]
+    return now_whole, now_real, gone[:count]
 
 
 def find(numbers: I64, wanted: I64) -> I64:
@@ -55,11 +83,3 @@ def find(numbers: I64, wanted: I64) -> I64:
     where[where == len(numbers)] = 0
     where[numbers[where] != wanted] = -1
     return where
-
-
-def lost(vehicles: Vehicles, number: I64) -> Vehicles:
-    """Return the tracks that are not among those now listed."""
-    if np.array_equal(vehicles.number, number):
-        return no_vehicles()
-    gone = find(number, vehicles.number) < 0
-    return Vehicles(vehicles.number[gone], vehicles.whole[gone], vehicles.real[gone])

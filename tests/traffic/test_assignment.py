@@ -7,7 +7,7 @@ from service.tracking.model import TrackStatus
 from service.traffic.assignment import AssignmentParameters, assign, chart_of, unfinished
 from service.traffic.measured import measured_of
 from service.traffic.model import Lane, LaneMap, Moment
-from service.traffic.vehicles import aligned, lost, no_vehicles
+from service.traffic.vehicles import aligned, no_vehicles, parted
 from tests.traffic.tracks import FRAME_US, START_US, estimates
 
 P = AssignmentParameters()
@@ -170,9 +170,9 @@ def test_who_is_lost_past_the_boundary_was_about_to_change():
         assert changed == ()
 
     (change,) = unfinished(
-        lost(vehicles, np.zeros(0, dtype=np.int64)), now_us=START_US + 5_000_000, version=1, p=P
+        parted(vehicles, np.zeros(0, dtype=np.int64))[1], now_us=START_US + 5_000_000, version=1, p=P
     )
 
     assert (change.from_lane, change.to_lane) == (1, 2)
     assert (change.time_us - START_US) / 1e6 == pytest.approx(4.0, abs=0.06)
-    assert len(unfinished(lost(vehicles, vehicles.number), now_us=0, version=1, p=P)) == 0
+    assert len(unfinished(parted(vehicles, vehicles.number)[1], now_us=0, version=1, p=P)) == 0
