@@ -30,6 +30,7 @@ class CountParameters:
 
     # A crossing that nobody saw, of a vehicle first seen behind the line or last seen before it
     unseen_behind_s: float = 4.0  # of the way back to the line, at most; beyond, too few are real
+    unseen_order_m: float = 120.0  # ... unless the order of its lane tells when that was
     unseen_ahead_s: float = 4.0  # of the way on to it
     unseen_life_s: float = 2.5  # for which it was followed: second tracks of a vehicle rarely are
     unseen_wait_s: float = 1.5  # for others that are counted there

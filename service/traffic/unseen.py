@@ -5,6 +5,7 @@ ends too early. But vehicles neither come from nowhere nor vanish: on a lane tha
 between junctions, who drives behind the line must have crossed it. Such a crossing is told where the line is
 no more than a few seconds away along the lane at the vehicle's own speed, in time that was observed, and when
 nobody was counted at that place and moment: the vehicle may have been followed before, as another track.
+Farther behind the line it is told where the order of the lane says when it was (`between`).
 Nor is it told of a vehicle lost before a line where one is found later, or stands, between: it may be the
 same one, or the lane is held up.
 """
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.traffic.between import SAME_LANE_M, crossed_between
 from service.traffic.cells import Ruler
 from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
@@ -27,7 +29,6 @@ from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Joined, Vehicles
 from service.traffic.window import past_of, samples_of
 
-_SAME_LANE_M = 1.75  # from where one vehicle crosses a line to another in its lane
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line
 _SLOW_MPS = 1.0
 
@@ -48,6 +49,9 @@ class Waiting:
 
     crossing: Crossing
     lost: Lost | None  # None: the vehicle was first seen behind the line
+    in_order: bool = (
+        False  # its time is that of its place among those of its lane: it is nobody who was counted
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +98,7 @@ def unseen(  # noqa: PLR0913, PLR0917 - the vehicles before and after, where the
     if state.told and state.told[0].crossing.time_us < late_us:
         state = replace(state, told=tuple(x for x in state.told if x.crossing.time_us >= late_us))
     fresh = (
-        *_first_seen(joined, states, view, ruler, told, state.told),
+        *_first_seen(joined, states, view, ruler, told, state),
         *_last_seen(before, stood, joined, view, ruler, told, state.told),
     )
     waiting = (*state.waiting, *fresh)
@@ -125,7 +129,7 @@ def _settled(  # noqa: PLR0913, PLR0917 - what waits, and all that speaks agains
     for x in sorted(late, key=lambda x: (x.crossing.time_us, x.crossing.track)):
         if (
             observed.holds(x.crossing.time_us)
-            and not _told(x.crossing, told, others, p)
+            and (x.in_order or not _told(x.crossing, told, others, p))
             and not _same_vehicle(x, (*state.told, *sure), p)
             and not _held_up(x, vehicles, view, ruler)
         ):
@@ -161,14 +165,14 @@ def _held_up(x: Waiting, vehicles: Vehicles, view: View, ruler: Ruler) -> bool:
     real = vehicles.real
     slow = np.hypot(real[VX], real[VY]) < view.parameters.unseen_least_mps
     away_m = np.hypot(real[X] - x.crossing.x_m, real[Y] - x.crossing.y_m)
-    near = (vehicles.last_us > lost.time_us) & (away_m <= lost.ahead_m + _SAME_LANE_M)
+    near = (vehicles.last_us > lost.time_us) & (away_m <= lost.ahead_m + SAME_LANE_M)
     near &= (vehicles.first_us > lost.time_us) | slow
     for row in np.flatnonzero(near).tolist():
         state = real[:, row].copy()
         if slow[row]:
             state[[VX, VY]] = lost.vx_mps, lost.vy_mps  # which way a standing one goes says its lane
         for k, way in ways(state, view.lines, ruler):
-            beside = math.hypot(way.x_m - x.crossing.x_m, way.y_m - x.crossing.y_m) < _SAME_LANE_M
+            beside = math.hypot(way.x_m - x.crossing.x_m, way.y_m - x.crossing.y_m) < SAME_LANE_M
             same_way = k == line and way.direction == x.crossing.direction
             if same_way and beside and 0.0 < way.ahead_m <= lost.ahead_m:
                 return True
@@ -181,41 +185,64 @@ def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
-    guessed: Sequence[Waiting],
-) -> Iterator[Waiting]:
-    """Yield crossings before their birth of the vehicles that have just been followed for long enough."""
-    p, v = view.parameters, joined.vehicles
+    state: UnseenState,
+) -> list[Waiting]:
+    """Return crossings before their birth of the vehicles that have just been followed for long enough."""
+    p, v, found = view.parameters, joined.vehicles, list[Waiting]()
     least_us = round(p.unseen_life_s * 1e6)
     due = (joined.measured >= 0) & (v.last_us - v.first_us >= least_us)
     due &= joined.from_us - v.first_us < least_us
     due &= v.number == v.vehicle  # a vehicle of several pieces was seen before
     rows = np.flatnonzero(due).tolist()
     if not rows:
-        return
+        return found
     past = past_of(view.window)
     for row in rows:
         number = int(v.number[row])
         samples = samples_of(past, (number,), view.time_us)
         speeds = np.hypot(samples.real[VX], samples.real[VY])
         speed, existence = float(speeds.mean()), float(samples.real[EXISTENCE].mean())
-        if min(speed, speeds[0]) < p.unseen_least_mps or existence < p.least_existence:
+        if existence < p.least_existence:
             continue
+        drove = min(speed, float(speeds[0])) >= p.unseen_least_mps
         pending = {x.line for x in states.pending if x.number == number}
         for line, way in ways(samples.real[:, 0], view.lines, ruler):
-            if (
-                states.counted[row, line]
-                or line in pending
-                or not -p.unseen_behind_s * speed <= way.ahead_m < p.travel_m
-            ):
+            if states.counted[row, line] or line in pending or way.ahead_m >= p.travel_m:
                 continue
-            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, guessed)
-            passed_s = float(samples.time_s[0]) + way.ahead_m * _slowness(speed, there)
+            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, state.told)
+            near = drove and way.ahead_m >= -p.unseen_behind_s * speed
+            if near:
+                passed_s = float(samples.time_s[0]) + way.ahead_m * _slowness(speed, there)
+                time_us = view.time_us + 1e6 * passed_s
+            else:
+                waiting = [x.crossing for x in (*state.waiting, *found)]
+                between_us = _in_order(row, line, joined, view, ruler, told, waiting)
+                if between_us is None:
+                    continue
+                time_us = between_us
             states.counted[row, line] = True
             crossing = _crossing(
-                view, line, way, view.time_us + 1e6 * passed_s, number, int(samples.frame[0]),
+                view, line, way, time_us, number, int(samples.frame[0]),
                 speed if there is None else there, float(samples.real[LENGTH, -1]), existence,
             )  # fmt: skip
-            yield Waiting(crossing, None)
+            found.append(Waiting(crossing, None, in_order=not near))
+    return found
+
+
+def _in_order(  # noqa: PLR0913, PLR0917 - as for `unseen`
+    row: int,
+    line: int,
+    joined: Joined,
+    view: View,
+    ruler: Ruler,
+    told: Sequence[MinuteBlock],
+    waiting: Sequence[Crossing],
+) -> float | None:
+    """Return when a vehicle crossed a line far behind it [us], None where its lane's order does not say."""
+    for k, way in ways(joined.vehicles.real[:, row], view.lines, ruler):
+        if k == line and -view.parameters.unseen_order_m <= way.ahead_m < 0.0:
+            return crossed_between(row, line, way, joined, view, ruler, told, waiting)
+    return None
 
 
 def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
@@ -264,7 +291,7 @@ def _speed_there(
     for block in told:
         if block.line_id == line_id and block.minute >= now_us // MINUTE_US - 1:
             table = block.table()
-            near = np.hypot(table["x_m"] - way.x_m, table["y_m"] - way.y_m) < _SAME_LANE_M
+            near = np.hypot(table["x_m"] - way.x_m, table["y_m"] - way.y_m) < SAME_LANE_M
             near &= (table["direction"] == way.direction) & ~np.isin(table["track"], copies)
             rows = table[near]
             times = (block.minute * MINUTE_US + rows["time_us"].astype(np.int64)).tolist()
