@@ -35,7 +35,7 @@ _FIRST, _LAST, _ANCHOR = slice(FIRST_X, LAST_X), slice(LAST_X, ANCHOR_X), slice(
 class OpenTracks:
     """What was seen so far of the T tracks that are listed, by number."""
 
-    whole: I64  # (8, T) EARLIER_HITS: of the times before the track rested
+    whole: I64  # (8, T) EARLIER_HITS: of the tracks that bore the number before
     real: F64  # (12, T) metres, m/s
 
     @property
@@ -188,6 +188,8 @@ def _newborn(time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks
 def _seen(before: OpenTracks, time_us: int, frame_number: int, now: TrackEstimates) -> OpenTracks:
     """Return the tracks with this frame added."""
     whole, real = before.whole.copy(), before.real.copy()
+    # fewer than before: its number goes on with a younger track
+    whole[EARLIER_HITS] += np.where(now.hits < whole[HITS], whole[HITS], 0)
     whole[LAST_US], whole[LAST_FRAME], whole[HITS] = time_us, frame_number, now.hits
     whole[STATES] += 1
     columns = (now.x_m, now.y_m, now.vx_mps, now.vy_mps, now.length_m, now.width_m, now.existence)

@@ -84,7 +84,7 @@ class ExtentParameters:
     # side-on no range rate tells that a vehicle drives off, but its points do, all of them, frame after frame
     ahead_gain: float = 0.15  # weight of the newest frame in the mean of how far ahead they put its box ...
     ahead_below_mps: float = 3.0  # ... which is taken below this speed
-    ahead_free_m: float = 0.8  # mean from which the box is held no more, and not taken to stand
+    ahead_free_m: float = 0.8  # mean, or so far behind, from which it is neither held nor taken to stand
     # a vehicle without a range rate and with little speed is taken to stand
     still_range_rate_mps: float = 0.25
     still_speed_mps: float = 1.5

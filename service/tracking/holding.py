@@ -1,4 +1,4 @@
-"""Hold settled boxes that stand where they are, whatever their points say."""
+"""Hold settled boxes that stand where they are, until their points have gone on for a while."""
 
 from __future__ import annotations
 
@@ -93,9 +93,8 @@ def watch_ends(tracks: Tracks, measured: F64, hit: Bool, p: ExtentParameters) ->
 @kernel
 def _watch(mean: F64, heading: F64, measured: F64, hit: Bool, ahead: F64, gain: float, below: float) -> None:
     for i in range(len(ahead)):
-        if math.hypot(mean[i, 1], mean[i, 4]) > below:
+        aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
+        if math.hypot(mean[i, 1], mean[i, 4]) > below or abs(math.cos(aspect)) > SIDE_ON_COSINE:
             ahead[i] = 0.0
         elif hit[i] and measured[i, M_COUNT] > 0.0:
-            aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
-            if abs(math.cos(aspect)) <= SIDE_ON_COSINE:
-                ahead[i] += gain * (min(max(measured[i, M_U], -AHEAD_MOST_M), AHEAD_MOST_M) - ahead[i])
+            ahead[i] += gain * (min(max(measured[i, M_U], -AHEAD_MOST_M), AHEAD_MOST_M) - ahead[i])

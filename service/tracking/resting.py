@@ -18,6 +18,7 @@ from service.tracking.model import F64, I64, TrackStatus
 from service.tracking.state import Place, Resting, Tracks
 
 _TENTATIVE = int(TrackStatus.TENTATIVE)
+View = tuple[float, float, float]  # least and greatest range [m], greatest azimuth [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +46,25 @@ class RestingParameters:
 
 
 def settle(  # noqa: PLR0913, PLR0917 - two moments, and who rested between them
-    resting: Resting, before: Tracks, after: Tracks, time_us: int, view_m: tuple[float, float],
-    p: RestingParameters,
+    resting: Resting, before: Tracks, after: Tracks, time_us: int, view: View, p: RestingParameters,
 ) -> tuple[Resting, Tracks]:  # fmt: skip
     """Return the numbers that rest after a frame and its tracks, some with the number that they had before.
 
-    before, after: all tracks before the frame and after it, tentative ones too; view_m: the least and the
-    greatest range at which the radar sees. The tracks stay in order of number.
+    before, after: all tracks before the frame and after it,
+    tentative ones too; view: the least and the greatest range at which the radar sees [m], and the greatest
+    azimuth [rad] to either side. The tracks stay in order of number.
     """
     resting = expire(resting, time_us, p)
+    if p.keep_s <= 0.0:
+        return resting, after
     listed, known = _confirmed_numbers(after), _confirmed_numbers(before)
     if np.array_equal(listed, known):
         return resting, after
     if not np.isin(listed, known).all():
-        resting, after = _give_all(resting, known, after, time_us, view_m, p)
+        resting, after = _give_all(resting, known, after, time_us, view, p)
     ended = np.flatnonzero(before.confirmed & ~np.isin(before.number, after.number))
-    if len(ended) and p.keep_s > 0.0:
-        resting = _rest(resting, before, after, ended, time_us, view_m, p)
+    if len(ended):
+        resting = _rest(resting, before, after, ended, time_us, view, p)
     return resting, after
 
 
@@ -79,15 +82,16 @@ def _confirmed_numbers(tracks: Tracks) -> I64:
 
 def _rest(  # noqa: PLR0913, PLR0917 - as for `settle`
     resting: Resting, before: Tracks, after: Tracks, ended: I64, time_us: int,
-    view_m: tuple[float, float], p: RestingParameters,
+    view: View, p: RestingParameters,
 ) -> Resting:  # fmt: skip
     """Return the resting numbers with those of the tracks that ended in view and not beside another."""
-    range_m = np.hypot(before.x_m[ended], before.y_m[ended])
+    x, y = before.x_m[ended], before.y_m[ended]
+    range_m, azimuth_rad = np.hypot(x, y), np.abs(np.arctan2(x, y))
     good = (before.hits[ended] >= p.least_hits) & (before.empty[ended] > 0)
-    good &= (range_m > view_m[0] + p.edge_m) & (range_m < view_m[1] - p.edge_m)
+    good &= (range_m > view[0] + p.edge_m) & (range_m < view[1] - p.edge_m)
+    good &= (view[2] - azimuth_rad) * range_m > p.edge_m
     others = after.confirmed
-    x, y = after.x_m[others], after.y_m[others]
-    away = np.hypot(before.x_m[ended, None] - x, before.y_m[ended, None] - y)
+    away = np.hypot(x[:, None] - after.x_m[others], y[:, None] - after.y_m[others])
     good &= ~(away < p.apart_m).any(axis=1)
     for i in ended[good].tolist():
         mates = _mates(before, i, p)
@@ -115,7 +119,7 @@ def _mates(tracks: Tracks, i: int, p: RestingParameters) -> I64:
 
 
 def _give_all(  # noqa: PLR0913, PLR0917 - as for `settle`
-    resting: Resting, known: I64, after: Tracks, time_us: int, view_m: tuple[float, float],
+    resting: Resting, known: I64, after: Tracks, time_us: int, view: View,
     p: RestingParameters,
 ) -> tuple[Resting, Tracks]:  # fmt: skip
     """Return what `_give_back` does for the tracks confirmed now; those as good as ended give theirs, too."""
@@ -123,9 +127,7 @@ def _give_all(  # noqa: PLR0913, PLR0917 - as for `settle`
     if not len(resting.number) and not faint.any():
         return resting, after
     rest, others = after.take(faint), after.take(~faint)
-    offered = (
-        _rest(resting, after, others, np.flatnonzero(faint), time_us, view_m, p) if len(rest) else resting
-    )
+    offered = _rest(resting, after, others, np.flatnonzero(faint), time_us, view, p) if len(rest) else resting
     fresh = np.flatnonzero(others.confirmed & ~np.isin(others.number, known))
     offered, others = _give_back(offered, others, fresh, time_us, p)
     stay = rest.take(~np.isin(rest.number, others.number))

@@ -115,8 +115,8 @@ def step(
     if apart is not state.tracks:
         state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
     tracks = start(state, bank, born, frame.time_us, p)
-    view_m = (p.sensor.range_min_m, p.sensor.range_max_m)
-    at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view_m, p.resting)
+    view = (p.sensor.range_min_m, p.sensor.range_max_m, p.sensor.azimuth_max_rad)
+    at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
     watch("clutter")

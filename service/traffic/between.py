@@ -9,16 +9,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from service.traffic.cells import Ruler
 from service.traffic.crossings import View
 from service.traffic.line_ways import Way, ways
-from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
+from service.traffic.records import MINUTE_US, MinuteBlock
 from service.traffic.stitching import Joined
 
 SAME_LANE_M = 1.75  # from where one vehicle crosses a line to another in its lane
+
+
+class Crossed(NamedTuple):
+    """That somebody went over a line."""
+
+    time_us: int
+    x_m: float
+    y_m: float
+    direction: int
+    names: tuple[int, ...]  # numbers of tracks of the vehicle
+
+
 Stand = tuple[float, float | None]  # how far ahead of a vehicle the line is, and when it crossed it [us]
 
 
@@ -30,26 +43,28 @@ def crossed_between(  # noqa: PLR0913, PLR0917 - who, what stands around it, and
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
-    waiting: Iterable[Crossing],
+    also: Iterable[Crossed],
 ) -> float | None:
     """Return when the vehicle of a row crossed a line [us], by the order of its lane; None: nobody can say.
 
-    way: how it stands to the line; waiting: crossings that are not told yet.
+    way: how it stands to the line; also: crossings of the line that are not told yet.
     """
-    line_id = view.lines[line].line_id
-    told_us = {
-        track: time_us
-        for time_us, x_m, y_m, direction, track in (*_told(line_id, told), *_waiting(line_id, waiting))
-        if direction == way.direction and math.hypot(x_m - way.x_m, y_m - way.y_m) < SAME_LANE_M
-    }
-    stands = _stands(row, line, way, joined, view, ruler, told_us)
+    there = [
+        x for x in (*also, *_told(view.lines[line].line_id, told))
+        if x.direction == way.direction and math.hypot(x.x_m - way.x_m, x.y_m - way.y_m) < SAME_LANE_M
+    ]  # fmt: skip
+    when_us = {name: x.time_us for x in there for name in x.names}
+    v = joined.vehicles
+    if int(v.number[row]) in when_us or int(v.vehicle[row]) in when_us:
+        return None
+    stands = _stands(row, line, way, joined, view, ruler, when_us)
     known = [(ahead_m, time_us) for ahead_m, time_us in stands if time_us is not None]
     first = max((x for x in known if x[0] < way.ahead_m), default=None)
     last = min((x for x in known if x[0] > way.ahead_m), default=None)
     if first is None or last is None or last[1] <= first[1]:
         return None
     here = 1 + sum(time_us is None and first[0] < ahead_m < last[0] for ahead_m, time_us in stands)
-    counted = sum(first[1] < time_us < last[1] for time_us in told_us.values())
+    counted = sum(first[1] < x.time_us < last[1] for x in there)
     if here <= counted:
         return None
     share = (way.ahead_m - first[0]) / (last[0] - first[0])
@@ -76,21 +91,12 @@ def _stands(  # noqa: PLR0913, PLR0917 - as for `crossed_between`
     return stands
 
 
-_Crossed = tuple[int, float, float, int, int]  # time [us], place, direction, track
-
-
-def _told(line_id: str, told: Sequence[MinuteBlock]) -> Iterator[_Crossed]:
+def _told(line_id: str, told: Sequence[MinuteBlock]) -> Iterator[Crossed]:
     """Yield the told crossings of a line."""
     for block in told:
         if block.line_id == line_id:
             table = block.table()
             times_us = block.minute * MINUTE_US + table["time_us"].astype(np.int64)
-            columns = (table["x_m"], table["y_m"], table["direction"], table["track"])
-            yield from zip(times_us.tolist(), *(column.tolist() for column in columns), strict=True)
-
-
-def _waiting(line_id: str, waiting: Iterable[Crossing]) -> Iterator[_Crossed]:
-    """Yield those of a line that are not told yet."""
-    for x in waiting:
-        if x.line_id == line_id:
-            yield x.time_us, x.x_m, x.y_m, x.direction, x.track
+            columns = [table[name].tolist() for name in ("x_m", "y_m", "direction", "track", "vehicle")]
+            for time_us, x_m, y_m, direction, *names in zip(times_us.tolist(), *columns, strict=True):
+                yield Crossed(time_us, x_m, y_m, direction, tuple(names))

@@ -152,8 +152,9 @@ def _once(found: Sequence[Crossing], told: Sequence[MinuteBlock]) -> tuple[Cross
     """
     fresh: dict[tuple[str, int], Crossing] = {}
     for x in found:
-        lines = (block.table()["vehicle"] for block in told if block.line_id == x.line_id)
-        if not any((vehicles == x.vehicle).any() for vehicles in lines):
+        names = (x.vehicle, x.track)  # the chain may be forgotten, and named by another of its pieces
+        tables = (block.table() for block in told if block.line_id == x.line_id)
+        if not any(np.isin(t["vehicle"], names).any() or np.isin(t["track"], names).any() for t in tables):
             fresh.setdefault((x.line_id, x.vehicle), x)
     return tuple(fresh.values())
 

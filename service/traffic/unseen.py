@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.traffic.between import SAME_LANE_M, crossed_between
+from service.traffic.between import SAME_LANE_M, Crossed, crossed_between
 from service.traffic.cells import Ruler
 from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
@@ -98,7 +98,7 @@ def unseen(  # noqa: PLR0913, PLR0917 - the vehicles before and after, where the
     if state.told and state.told[0].crossing.time_us < late_us:
         state = replace(state, told=tuple(x for x in state.told if x.crossing.time_us >= late_us))
     fresh = (
-        *_first_seen(joined, states, view, ruler, told, state),
+        *_first_seen(joined, states, view, ruler, told, found, state),
         *_last_seen(before, stood, joined, view, ruler, told, state.told),
     )
     waiting = (*state.waiting, *fresh)
@@ -185,6 +185,7 @@ def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
+    seen: Sequence[Crossing],
     state: UnseenState,
 ) -> list[Waiting]:
     """Return crossings before their birth of the vehicles that have just been followed for long enough."""
@@ -215,8 +216,8 @@ def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
                 passed_s = float(samples.time_s[0]) + way.ahead_m * _slowness(speed, there)
                 time_us = view.time_us + 1e6 * passed_s
             else:
-                waiting = [x.crossing for x in (*state.waiting, *found)]
-                between_us = _in_order(row, line, joined, view, ruler, told, waiting)
+                also = _not_told(line, view, seen, (*state.waiting, *found), states.pending)
+                between_us = _in_order(row, line, joined, view, ruler, told, also)
                 if between_us is None:
                     continue
                 time_us = between_us
@@ -229,6 +230,21 @@ def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
     return found
 
 
+def _not_told(
+    line: int, view: View, seen: Sequence[Crossing], waiting: Sequence[Waiting], pending: Sequence[Pending]
+) -> list[Crossed]:
+    """Return the crossings of a line that are certain or probable, but not told yet."""
+    line_id = view.lines[line].line_id
+    sure = (x for x in (*seen, *(x.crossing for x in waiting)) if x.line_id == line_id)
+    return [
+        *(Crossed(x.time_us, x.x_m, x.y_m, x.direction, (x.track, x.vehicle)) for x in sure),
+        *(
+            Crossed(x.time_us, x.x_m, x.y_m, x.direction, (x.number, x.vehicle))
+            for x in pending if x.line == line
+        ),
+    ]  # fmt: skip
+
+
 def _in_order(  # noqa: PLR0913, PLR0917 - as for `unseen`
     row: int,
     line: int,
@@ -236,12 +252,12 @@ def _in_order(  # noqa: PLR0913, PLR0917 - as for `unseen`
     view: View,
     ruler: Ruler,
     told: Sequence[MinuteBlock],
-    waiting: Sequence[Crossing],
+    also: Sequence[Crossed],
 ) -> float | None:
     """Return when a vehicle crossed a line far behind it [us], None where its lane's order does not say."""
     for k, way in ways(joined.vehicles.real[:, row], view.lines, ruler):
         if k == line and -view.parameters.unseen_order_m <= way.ahead_m < 0.0:
-            return crossed_between(row, line, way, joined, view, ruler, told, waiting)
+            return crossed_between(row, line, way, joined, view, ruler, told, also)
     return None
 
 

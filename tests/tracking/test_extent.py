@@ -310,6 +310,8 @@ def test_the_ends_are_watched_of_slow_boxes_seen_side_on():
     assert watched(one_track(heading_rad=0.0), 1.0).ahead_m[0] == 0.0  # end-on the range rate tells
     moving = one_track(heading_rad=math.pi / 2, vx=4.0).but(ahead_m=np.array([1.0]))
     assert watched(moving, 1.0).ahead_m[0] == 0.0
+    turned = one_track(heading_rad=0.0).but(ahead_m=np.array([1.0]))
+    assert watched(turned, 0.0).ahead_m[0] == 0.0  # what it did side-on does not let it go for good
 
 
 def test_what_drives_off_is_not_taken_to_stand():

@@ -16,7 +16,7 @@ from service.tracking.tracker import TrackerState, coast, initial_state
 from tests.tracking.test_tracker import PERIOD_US, T0_US, frame, numbers, run, vehicle
 
 P = RestingParameters()
-VIEW_M = (15.0, 150.0)
+VIEW = (15.0, 150.0, 0.8)
 LOST_US, BACK_US = 10_000_000, 16_000_000  # when the tracks below end, and when they come again
 HIT_US, BORN_US = 9_000_000, 15_500_000  # of the track that ends, and of one that is found later
 
@@ -52,7 +52,7 @@ QUEUE = ((1, 60.0), (2, 50.0), (3, 40.0))  # a leader, the one that will be hidd
 def at_rest(before=None, p=P, number=2):
     """What rests when that number is among the tracks no more."""
     before = silent(*QUEUE) if before is None else before
-    resting, left = settle(none_resting(), before, before.take(before.number != number), LOST_US, VIEW_M, p)
+    resting, left = settle(none_resting(), before, before.take(before.number != number), LOST_US, VIEW, p)
     assert number not in left.number
     return resting
 
@@ -62,7 +62,7 @@ def found(resting, *rows, time_us=BACK_US, born_us=BORN_US, p=P, **columns):
     fresh = tracks(*rows, **{"born_us": [*[0] * (len(rows) - 1), born_us], **columns})
     status = fresh.status.copy()
     status[-1] = TrackStatus.TENTATIVE
-    return settle(resting, fresh.but(status=status), fresh, time_us, VIEW_M, p)
+    return settle(resting, fresh.but(status=status), fresh, time_us, VIEW, p)
 
 
 def test_a_vehicle_that_was_hidden_in_a_queue_is_given_its_number_again():
@@ -216,30 +216,34 @@ def test_a_tentative_track_beside_it_is_no_other_vehicle():
 @pytest.mark.parametrize(
     ("y_m", "rests"),
     [
-        (VIEW_M[0] + P.edge_m - 0.1, []),
-        (VIEW_M[0] + P.edge_m + 0.1, [2]),
-        (VIEW_M[1] - P.edge_m - 0.1, [2]),
-        (VIEW_M[1] - P.edge_m + 0.1, []),
+        (VIEW[0] + P.edge_m - 0.1, []),
+        (VIEW[0] + P.edge_m + 0.1, [2]),
+        (VIEW[1] - P.edge_m - 0.1, [2]),
+        (VIEW[1] - P.edge_m + 0.1, []),
     ],
 )
 def test_what_was_at_the_edge_of_the_view_has_left_it(y_m, rests):
     assert at_rest(silent((2, y_m))).number.tolist() == rests
 
 
-def beside_a_faint_one(**columns):
+def beside_a_faint_one(p=P, **columns):
     """The numbers when a vehicle is seen ten metres ahead of where a settled track was left behind."""
     usual = {"empty": [0, 15, 0, 0], "log_odds": [6.0, -1.0, 6.0, 3.0], "born_us": [0, 0, 0, BORN_US]}
     usual |= {"hit_us": [BACK_US, HIT_US, BACK_US, BACK_US]}
     after = tracks((1, 70.0), (2, 50.0), (3, 40.0), (9, 60.0), **(usual | columns))
     status = after.status.copy()
     status[-1] = TrackStatus.TENTATIVE
-    resting, after = settle(none_resting(), after.but(status=status), after, BACK_US, VIEW_M, P)
+    resting, after = settle(none_resting(), after.but(status=status), after, BACK_US, VIEW, p)
     assert not len(resting.number)
     return dict(zip(after.number.tolist(), after.y_m.tolist(), strict=True))
 
 
 def test_a_box_that_was_left_behind_gives_its_number_before_it_ends():
     assert beside_a_faint_one() == {1: 70.0, 2: 60.0, 3: 40.0}
+
+
+def test_without_a_rest_a_box_left_behind_keeps_its_number():
+    assert beside_a_faint_one(RestingParameters(keep_s=0.0)) == {1: 70.0, 2: 50.0, 3: 40.0, 9: 60.0}
 
 
 @pytest.mark.parametrize(
@@ -261,9 +265,16 @@ def test_a_motorcycle_has_no_say_in_the_order():
     assert after.number.tolist() == [1, 2, 3]
 
 
+def test_what_left_the_view_sideways_does_not_rest():
+    gone = silent((1, 60.0), (2, 46.0, 50.0))  # 42.6 degrees off, 45.8 is the last
+
+    assert not len(at_rest(gone).number)
+    assert at_rest(silent((1, 60.0), (2, 40.0, 50.0))).number.tolist() == [2]
+
+
 def two_at_rest():
     before = tracks((1, 70.0), (2, 50.0), (3, 40.0), empty=[0, 20, 20], hit_us=HIT_US, speed_mps=5.0)
-    resting, after = settle(none_resting(), before, before.take(np.array([0])), LOST_US, VIEW_M, P)
+    resting, after = settle(none_resting(), before, before.take(np.array([0])), LOST_US, VIEW, P)
     assert after.number.tolist() == [1]
     assert resting.number.tolist() == [2, 3]
     return resting
@@ -282,7 +293,7 @@ def test_two_that_are_found_at_once_are_given_a_number_each():
     before = tracks((1, 100.0), (8, 70.0), (9, 80.0), born_us=[0, BORN_US, BORN_US], speed_mps=5.0)
     tentative = before.but(status=np.array([1, 0, 0], np.uint8) * np.uint8(TrackStatus.CONFIRMED))
 
-    resting, after = settle(two_at_rest(), tentative, before, BACK_US, VIEW_M, P)
+    resting, after = settle(two_at_rest(), tentative, before, BACK_US, VIEW, P)
 
     assert dict(zip(after.number.tolist(), after.y_m.tolist(), strict=True)) == {1: 100.0, 2: 80.0, 3: 70.0}
     assert not len(resting.number)
@@ -290,10 +301,10 @@ def test_two_that_are_found_at_once_are_given_a_number_each():
 
 def test_of_two_that_are_found_at_once_the_second_must_be_behind_the_first_again():
     queue = tracks((2, 50.0), (3, 40.0), empty=20, hit_us=HIT_US, speed_mps=5.0)
-    resting, _ = settle(none_resting(), queue, queue.take(np.zeros(0, np.int64)), LOST_US, VIEW_M, P)
+    resting, _ = settle(none_resting(), queue, queue.take(np.zeros(0, np.int64)), LOST_US, VIEW, P)
     after = tracks((8, 80.0), (9, 82.0), born_us=BORN_US, speed_mps=5.0)
 
-    resting, after = settle(resting, after.take(np.zeros(0, np.int64)), after, BACK_US, VIEW_M, P)
+    resting, after = settle(resting, after.take(np.zeros(0, np.int64)), after, BACK_US, VIEW, P)
 
     assert after.number.tolist() == [2, 9]
     assert resting.number.tolist() == [3]
@@ -316,7 +327,7 @@ def test_the_tracks_stay_in_order_of_number_and_each_keeps_what_it_is():
     marked = plain.but(**columns)
     tentative = marked.but(status=np.array([1, 1, 1, 0], np.uint8) * np.uint8(TrackStatus.CONFIRMED))
 
-    _, after = settle(at_rest(), tentative, marked, BACK_US, VIEW_M, P)
+    _, after = settle(at_rest(), tentative, marked, BACK_US, VIEW, P)
 
     assert after.number.tolist() == [1, 2, 3, 7]
     for name, column in vars(marked).items():
@@ -331,7 +342,7 @@ def test_a_tentative_track_is_given_no_number_and_leaves_none():
     after = after.but(status=np.array([1, 1, 0, 1], np.uint8))
     assert (TrackStatus.TENTATIVE, TrackStatus.CONFIRMED) == (0, 1)
 
-    resting, after = settle(at_rest(), before, after, BACK_US, VIEW_M, P)
+    resting, after = settle(at_rest(), before, after, BACK_US, VIEW, P)
 
     assert after.number.tolist() == [1, 3, 9, 10]
     assert resting.number.tolist() == [2]
@@ -341,7 +352,7 @@ def test_a_known_track_keeps_its_own_number():
     known = tracks((1, 70.0), (3, 50.0), (9, 60.0), born_us=[0, 0, BORN_US])
     coming = known.join(tracks((10, 20.0), born_us=BORN_US))
 
-    _, after = settle(at_rest(), known, coming, BACK_US, VIEW_M, P)
+    _, after = settle(at_rest(), known, coming, BACK_US, VIEW, P)
 
     assert after.number.tolist() == [1, 3, 9, 10]
 
@@ -354,7 +365,7 @@ def test_a_number_rests_for_no_longer_than_said():
     assert not len(over.number)
     assert not len(over.mate_of)
     leader = tracks((1, 99.0))
-    assert not len(settle(resting, leader, leader, HIT_US + 30_000_001, VIEW_M, P)[0].number)
+    assert not len(settle(resting, leader, leader, HIT_US + 30_000_001, VIEW, P)[0].number)
 
 
 def test_without_a_rest_no_number_rests():

@@ -60,6 +60,15 @@ def test_a_follower_that_is_still_before_the_line_crosses_it_after_it():
     assert found[1] < found[7] < found[3]
 
 
+def test_one_that_waits_just_behind_the_line_has_crossed_it():
+    # 5 was counted, lost and is seen again as 7; 9 has stepped over the line and waits there
+    y = np.maximum(150.0 - STEP_M * np.arange(FRAMES), 119.5)
+    waits = drive(9, y, x_m=1.75, vy_mps=-0.1)
+    frames = convoy(LEADER, (5, 150.0, 150.0, 95.0), HIDDEN, (3, 235.0), others=[waits])
+
+    assert [x.track for x in seen(frames)].count(7) == 0
+
+
 def test_without_one_ahead_and_one_behind_nobody_can_say():
     assert sorted(crossed(LEADER, HIDDEN)) == [1]
     assert sorted(crossed(FOLLOWER, HIDDEN)) == [3]
