@@ -123,8 +123,8 @@ def end_all(state: Collected, moment: Moment) -> Rows:
 
 def _sorted_out(state: Collected, listed: I64, resting: I64) -> tuple[OpenTracks, OpenTracks, OpenTracks]:
     """Return of the open tracks those listed now, those that rest, and those that have ended."""
-    if not len(state.resting.number) and np.array_equal(state.tracks.number, listed):
-        return state.tracks, _NO_TRACKS, _NO_TRACKS
+    if np.array_equal(state.tracks.number, listed) and np.isin(state.resting.number, resting).all():
+        return state.tracks, state.resting, _NO_TRACKS
     tracks = _together(state.tracks, state.resting)
     here = np.isin(tracks.number, listed)
     rests = ~here & np.isin(tracks.number, resting)

@@ -50,9 +50,9 @@ def settle(  # noqa: PLR0913, PLR0917 - two moments, and who rested between them
 ) -> tuple[Resting, Tracks]:  # fmt: skip
     """Return the numbers that rest after a frame and its tracks, some with the number that they had before.
 
-    before, after: all tracks before the frame and after it,
-    tentative ones too; view: the least and the greatest range at which the radar sees [m], and the greatest
-    azimuth [rad] to either side. The tracks stay in order of number.
+    before, after: all tracks before the frame and after it, tentative ones too; view: the least and the
+    greatest range at which the radar sees [m], and the greatest azimuth [rad] to either side. The tracks stay
+    in order of number.
     """
     resting = expire(resting, time_us, p)
     if p.keep_s <= 0.0:
