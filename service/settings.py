@@ -26,6 +26,7 @@ def _rate(text: str | None) -> str | None:
 
 
 Rate = Annotated[str | None, AfterValidator(_rate)]
+TRACKERS_MOST = 4  # unless more are asked for: each costs tens of megabytes, sensors or not
 
 
 class Settings(BaseSettings):
@@ -58,8 +59,8 @@ class Settings(BaseSettings):
     untracked_hours: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 24.0  # of a sensor that failed
     disk_free_min_share: Annotated[float, Field(ge=0, lt=1)] = 0.05  # below it frames get 503
 
-    # Processes that track beside the serving one; 0: in the serving process itself. None: 1, or 0 on a
-    # machine with one processor.
+    # Processes that track beside the serving one; 0: in the serving process itself. None: one a processor,
+    # four at most, and 0 on a machine with one processor.
     tracker_processes: Annotated[int, Field(ge=0, le=64)] | None = None
 
     flush_interval_s: PositiveSeconds = 1.0  # rows and cursor together
@@ -85,7 +86,7 @@ class Settings(BaseSettings):
             return self.tracker_processes
         affinity = getattr(os, "sched_getaffinity", None)  # Linux only
         processors = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
-        return 1 if processors > 1 else 0
+        return min(processors, TRACKERS_MOST) if processors > 1 else 0
 
     @property
     def rows_url(self) -> str:

@@ -46,3 +46,11 @@ def test_a_setting_out_of_bounds_is_refused(monkeypatch, name, value):
 
     with pytest.raises(ValidationError, match=name.lower()):
         Settings()
+
+
+@pytest.mark.parametrize(("processors", "trackers"), [(1, 0), (2, 2), (4, 4), (64, 4)])
+def test_there_are_as_many_trackers_as_processors_up_to_four(monkeypatch, processors, trackers):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(processors)))
+
+    assert Settings().tracker_process_count == trackers
+    assert Settings(tracker_processes=7).tracker_process_count == 7

@@ -41,6 +41,7 @@ from service.telemetry import Telemetry
 WORK = "tracker"
 REPORT_S = 0.5
 ORPHANS_S = 10.0
+NICENESS = 4  # what is logged can be tracked a moment later; what waits to be logged keeps a sensor waiting
 
 _log = structlog.get_logger(__name__)
 
@@ -64,6 +65,7 @@ def _work(
 ) -> None:
     connection, lifeline, memory = descriptors
     end_with(lifeline)
+    os.nice(NICENESS)
     mark = _mark(settings.log_dir)
     fcntl.flock(mark, fcntl.LOCK_SH)  # until the process ends
     line = Line(socket.socket(fileno=connection))

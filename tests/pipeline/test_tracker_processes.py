@@ -273,8 +273,11 @@ def test_sensors_are_shared_among_the_processes(running, database):
         wait_until(lambda: caught_up(host))
         health = host.health()
 
+        pids = {process.pid for process in health.processes}
+        niceness = [os.getpriority(os.PRIO_PROCESS, pid) - os.nice(0) for pid in pids]
     assert [process.sensors for process in health.processes] == [2, 2]
-    assert len({process.pid for process in health.processes}) == 2
+    assert len(pids) == 2
+    assert niceness == [tracker_process.NICENESS] * 2
     assert {sensor.folded_position for sensor in health.sensors} == {21}
 
 
