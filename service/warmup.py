@@ -18,9 +18,8 @@ from service.tracking.filters.registry import filter_names, make_filter
 from service.tracking.model import F64, Frame
 from service.tracking.parameters import TrackerParameters
 from service.traffic import monitor
-from service.traffic.crossing_lanes import lanes_at
 from service.traffic.curves import beside
-from service.traffic.line_ways import lane_over
+from service.traffic.lane_places import lanes_at, stands
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
 
@@ -67,7 +66,7 @@ def _whole_step() -> None:
     tracker.coast(state, FRAMES * FRAME_US, chosen)
     beside(np.zeros((1, 2)), np.array([[0.0, 0.0], [1.0, 0.0]]))
     lanes_at(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1, dtype=np.int64), traffic.counts.ruler)
-    lane_over(np.zeros(4), traffic.counts.lines, traffic.counts.ruler)
+    stands(np.zeros((4, 1)), traffic.counts.lines, traffic.counts.ruler)
 
 
 def _frame(number: int) -> Frame:

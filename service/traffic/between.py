@@ -7,96 +7,59 @@ That holds however long ago it was, which its own speed does not.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from service.traffic.cells import Ruler
-from service.traffic.crossings import View
-from service.traffic.line_ways import Way, ways
-from service.traffic.records import MINUTE_US, MinuteBlock
-from service.traffic.stitching import Joined
-
-SAME_LANE_M = 1.75  # from where one vehicle crosses a line to another in its lane
-
-
-class Crossed(NamedTuple):
-    """That somebody went over a line."""
-
-    time_us: int
-    x_m: float
-    y_m: float
-    direction: int
-    names: tuple[int, ...]  # numbers of tracks of the vehicle
-
+from service.traffic.known import SAME_LANE_M, Known
+from service.traffic.lane_places import Way
+from service.traffic.records import Crossing
 
 Stand = tuple[float, float | None]  # how far ahead of a vehicle the line is, and when it crossed it [us]
 
 
-def crossed_between(  # noqa: PLR0913, PLR0917 - who, what stands around it, and what was told
-    row: int,
-    line: int,
-    way: Way,
-    joined: Joined,
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    also: Iterable[Crossed],
+def crossed_between(
+    row: int, line: int, way: Way, known: Known, inferred: Sequence[Crossing]
 ) -> float | None:
     """Return when the vehicle of a row crossed a line [us], by the order of its lane; None: nobody can say.
 
-    way: how it stands to the line; also: crossings of the line that are not told yet.
+    way: how it stands to the line; inferred: crossings that nobody saw and that are not told yet.
     """
-    there = [
-        x for x in (*also, *_told(view.lines[line].line_id, told))
-        if x.direction == way.direction and math.hypot(x.x_m - way.x_m, x.y_m - way.y_m) < SAME_LANE_M
-    ]  # fmt: skip
+    there = known.crossed(line, way, inferred)
     when_us = {name: x.time_us for x in there for name in x.names}
-    v = joined.vehicles
+    v = known.joined.vehicles
     if int(v.number[row]) in when_us or int(v.vehicle[row]) in when_us:
         return None
-    stands = _stands(row, line, way, joined, view, ruler, when_us)
-    known = [(ahead_m, time_us) for ahead_m, time_us in stands if time_us is not None]
-    first = max((x for x in known if x[0] < way.ahead_m), default=None)
-    last = min((x for x in known if x[0] > way.ahead_m), default=None)
+    others = _others(row, line, way, known, when_us)
+    sure = [(ahead_m, time_us) for ahead_m, time_us in others if time_us is not None]
+    first = max((x for x in sure if x[0] < way.ahead_m), default=None)
+    last = min((x for x in sure if x[0] > way.ahead_m), default=None)
     if first is None or last is None or last[1] <= first[1]:
         return None
-    here = 1 + sum(time_us is None and first[0] < ahead_m < last[0] for ahead_m, time_us in stands)
-    counted = sum(first[1] < x.time_us < last[1] for x in there)
+    here = 1 + sum(time_us is None and first[0] < ahead_m < last[0] for ahead_m, time_us in others)
+    # whoever was still seen when this one was first seen is another, who was lost since
+    seen_us, first_us = known.last_us, int(v.first_us[row])
+    counted = sum(
+        first[1] < x.time_us < last[1] and all(seen_us.get(name, -1) < first_us for name in x.names)
+        for x in there
+    )
     if here <= counted:
         return None
     share = (way.ahead_m - first[0]) / (last[0] - first[0])
     return first[1] + share * (last[1] - first[1])
 
 
-def _stands(  # noqa: PLR0913, PLR0917 - as for `crossed_between`
-    row: int, line: int, mine: Way, joined: Joined, view: View, ruler: Ruler, crossed_us: Mapping[int, int]
-) -> list[Stand]:
+def _others(row: int, line: int, mine: Way, known: Known, crossed_us: Mapping[int, int]) -> list[Stand]:
     """Return how the other vehicles of a lane that are seen now stand to a line.
 
     One before the line crosses it later than now.
     """
-    v, stands = joined.vehicles, list[Stand]()
-    for other in np.flatnonzero(joined.measured >= 0).tolist():
-        if other == row:
-            continue
-        for k, way in ways(v.real[:, other], view.lines, ruler):
-            beside_m = math.hypot(way.x_m - mine.x_m, way.y_m - mine.y_m)
-            if k == line and way.direction == mine.direction and beside_m < SAME_LANE_M:
-                names = (int(v.number[other]), int(v.vehicle[other]))
-                when = next((crossed_us[name] for name in names if name in crossed_us), None)
-                stands.append((way.ahead_m, float(view.time_us) if way.ahead_m >= 0.0 else when))
-    return stands
-
-
-def _told(line_id: str, told: Sequence[MinuteBlock]) -> Iterator[Crossed]:
-    """Yield the told crossings of a line."""
-    for block in told:
-        if block.line_id == line_id:
-            table = block.table()
-            times_us = block.minute * MINUTE_US + table["time_us"].astype(np.int64)
-            columns = [table[name].tolist() for name in ("x_m", "y_m", "direction", "track", "vehicle")]
-            for time_us, x_m, y_m, direction, *names in zip(times_us.tolist(), *columns, strict=True):
-                yield Crossed(time_us, x_m, y_m, direction, tuple(names))
+    v, others = known.joined.vehicles, list[Stand]()
+    here = known.stands.beside(line, mine, SAME_LANE_M) & (known.joined.measured >= 0)
+    here[row] = False
+    for other in np.flatnonzero(here).tolist():
+        names = (int(v.number[other]), int(v.vehicle[other]))
+        when = next((crossed_us[name] for name in names if name in crossed_us), None)
+        ahead_m = float(known.stands.ahead_m[other, line])
+        others.append((ahead_m, float(known.view.time_us) if ahead_m >= 0.0 else when))
+    return others

@@ -18,8 +18,10 @@ from service.tracking.model import TrackEstimates
 from service.traffic.cells import NO_RULER, MinuteCells, Ruler, cell_records, drive, ruler_of
 from service.traffic.count_parameters import CountParameters
 from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
-from service.traffic.crossing_lanes import lanes_at, passing_s, relabelled, way_across
+from service.traffic.crossing_lanes import passing_s, relabelled, way_across
 from service.traffic.crossings import LineStates, View, cross, no_line_states
+from service.traffic.known import Known, Observed
+from service.traffic.lane_places import lanes_at
 from service.traffic.line_placing import place_lines
 from service.traffic.lines import Line
 from service.traffic.measured import Measured
@@ -37,7 +39,7 @@ from service.traffic.records import (
     record_of,
 )
 from service.traffic.stitching import Vehicles, join, no_vehicles
-from service.traffic.unseen import Observed, UnseenState, unseen
+from service.traffic.unseen import UnseenState, ended, unseen
 from service.traffic.window import Scan, remember, scan_of
 
 OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
@@ -105,11 +107,12 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     if ruler is not state.ruler and lanes.lanes:
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    observed = Observed(state.until_us, state.since_us, coverage.last_us or 0)
-    others, beyond = unseen(
-        state.unseen, state.vehicles, state.states, joined, states, View(window, state.lines, p), ruler,
-        mapped, found, observed,
+    others = ended(state.unseen, state.vehicles, joined, now_us)
+    known = Known(
+        joined, states, View(window, state.lines, p), ruler, mapped, found,
+        Observed(state.until_us, state.since_us, coverage.last_us or 0), others.ended,
     )  # fmt: skip
+    others, beyond = unseen(others, state.vehicles, state.states, known)
     if beyond:
         found = tuple(sorted((*found, *beyond), key=lambda x: (x.time_us, x.track)))
     found = _once(found, mapped)

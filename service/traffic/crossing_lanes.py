@@ -14,16 +14,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.tracking.kernel import kernel, part
 from service.tracking.model import F64, I64, Bool
 from service.traffic.cells import Ruler
 from service.traffic.count_parameters import CountParameters
+from service.traffic.lane_places import lanes_at
 from service.traffic.lines import Line
 from service.traffic.model import NO_LANE
 from service.traffic.records import DECIMALS, MINUTE_US, Leader, MinuteBlock
 
-_LEAST_COSINE = math.cos(math.radians(50.0))  # between a lane and the way across the line
-_AGAINST_M = 1.0  # that a lane of the other direction must be nearer
 _SLOW_MPS = 1.0  # below, the time from bumper to centre is taken as at this speed
 
 
@@ -31,65 +29,6 @@ def way_across(line: Line, direction: int) -> F64:
     """Return the unit vector (2,) at right angles to a line that points to where a vehicle went."""
     dx, dy = line.x1_m - line.x0_m, line.y1_m - line.y0_m
     return np.array([-dy, dx]) * direction / math.hypot(dx, dy)
-
-
-def lanes_at(place_m: F64, way: F64, lane: I64, ruler: Ruler, *, stay: bool = False) -> I64:
-    """Return the lane (N,) of places (N, 2) on lines: the nearest that goes that way, else the one it had.
-
-    way: (N, 2) unit vectors across the lines; lane: (N,) that the vehicles had; stay: it keeps those that lie
-    inside of it.
-    """
-    found = lane.copy()
-    _lanes_at(
-        place_m, way, found, np.array(ruler.lane, dtype=np.int64), ruler.first, ruler.points_m,
-        ruler.half_width_m, ruler.turn, stay,
-    )  # fmt: skip
-    return found
-
-
-@kernel
-def _lanes_at(  # noqa: PLR0913, PLR0917 - arrays are a kernel's language
-    place: F64, way: F64, found: I64, index: I64, first: I64, points: F64, half_width: F64, turn: Bool,
-    stay: bool,  # noqa: FBT001 - a kernel has no names for its arguments
-) -> None:  # fmt: skip
-    """Write the lane of each place over the one that its vehicle had."""
-    for i in range(len(place)):
-        lane, best, nearest, mine = found[i], NO_LANE, math.inf, math.inf
-        for k in range(len(index)):
-            away, cosine = _beside_lane(place[i], way[i], first[k], first[k + 1], points)
-            if away < 0.0 or abs(cosine) < _LEAST_COSINE:
-                continue
-            if index[k] == lane:
-                mine = away
-                if turn[k] or (stay and away <= half_width[k]):
-                    best = NO_LANE  # ways through a junction lie upon one another
-                    break
-            if away > half_width[k] or turn[k]:
-                continue
-            cost = away + (_AGAINST_M if cosine < 0.0 else 0.0)
-            if cost < nearest:
-                best, nearest = index[k], cost
-        if best != NO_LANE and (lane == NO_LANE or nearest < mine):
-            found[i] = best
-
-
-@part
-def _beside_lane(place: F64, way: F64, first: int, end: int, points: F64) -> tuple[float, float]:
-    """Return the distance from a lane, -1 beyond its ends, and the cosine of its heading there to a way."""
-    best, where, share = 1e30, first, 0.0
-    for k in range(first, end - 1):
-        ex, ey = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
-        px, py = place[0] - points[k, 0], place[1] - points[k, 1]
-        square = ex * ex + ey * ey
-        u = (px * ex + py * ey) / square if square > 0.0 else 0.0
-        c = min(max(u, 0.0), 1.0)
-        away = (px - c * ex) ** 2 + (py - c * ey) ** 2
-        if away < best:
-            best, where, share = away, k, u
-    if (where == first and share < 0.0) or (where == end - 2 and share > 1.0):
-        return -1.0, 0.0
-    heading = math.atan2(points[where + 1, 0] - points[where, 0], points[where + 1, 1] - points[where, 1])
-    return math.sqrt(best), math.sin(heading) * way[0] + math.cos(heading) * way[1]
 
 
 def passing_s(length_m: float, speed_mps: float, p: CountParameters) -> float:

@@ -5,9 +5,9 @@ ends too early. But vehicles neither come from nowhere nor vanish: on a lane tha
 between junctions, who drives behind the line must have crossed it. Such a crossing is told where the line is
 no more than a few seconds away along the lane at the vehicle's own speed, in time that was observed, and when
 nobody was counted at that place and moment: the vehicle may have been followed before, as another track.
-Farther behind the line it is told where the order of the lane says when it was (`between`).
-Nor is it told of a vehicle lost before a line where one is found later, or stands, between: it may be the
-same one, or the lane is held up.
+Farther behind the line, or before it, it is told where the order of the lane says when it was (`between`,
+`gone`). Nor is it told by speed of a vehicle lost before a line where one is found later, or stands, between:
+it may be the same one, or the lane is held up.
 """
 
 from __future__ import annotations
@@ -18,17 +18,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.traffic.between import SAME_LANE_M, Crossed, crossed_between
-from service.traffic.cells import Ruler
+from service.traffic.between import crossed_between
 from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
-from service.traffic.crossings import LineStates, Pending, View
-from service.traffic.line_ways import Way, ways
+from service.traffic.crossings import LineStates, View
+from service.traffic.gone import Gone, passed_before, watch_lost
+from service.traffic.known import SAME_LANE_M, Ended, Known
+from service.traffic.lane_places import Way, stands, ways
 from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Joined, Vehicles
 from service.traffic.window import past_of, samples_of
 
+_ENDED_US = 60_000_000  # since then it is known who was given up
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line
 _SLOW_MPS = 1.0
 
@@ -56,88 +58,85 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True)
 class UnseenState:
-    """What waits, and what was told in the last seconds."""
+    """What waits, what was told in the last seconds, and who is lost."""
 
     waiting: tuple[Waiting, ...] = ()
     told: tuple[Waiting, ...] = ()
+    ended: tuple[Ended, ...] = ()
+    gone: tuple[Gone, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
-    """Time in which frames came: until `until_us`, and again from `since_us` to `now_us`."""
-
-    until_us: int
-    since_us: int
-    now_us: int
-
-    def holds(self, time_us: int) -> bool:
-        """Return whether a moment of the last seconds was observed."""
-        return time_us <= self.until_us or self.since_us <= time_us <= self.now_us
-
-
-def unseen(  # noqa: PLR0913, PLR0917 - the vehicles before and after, where they stand, and what was told
-    state: UnseenState,
-    before: Vehicles,
-    stood: LineStates,
-    joined: Joined,
-    states: LineStates,
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    found: Sequence[Crossing],
-    observed: Observed,
+def unseen(
+    state: UnseenState, before: Vehicles, stood: LineStates, known: Known
 ) -> tuple[UnseenState, tuple[Crossing, ...]]:
-    """Return what waits now, and the crossings that must have been, by time; marks in `states.counted`.
+    """Return what waits now, and the crossings that must have been, by time; marks in `known.states.counted`.
 
-    before, stood: the vehicles before this scan; told: the crossings of the last minutes; found: those that
-    were seen and became certain in this scan.
+    before, stood: the vehicles before this scan, and where they stood.
     """
-    if not view.lines or not ruler.lane:
+    if not known.view.lines or not known.ruler.lane:
         return UnseenState(), ()
-    late_us = view.time_us - _RECENT_US
+    late_us = known.view.time_us - _RECENT_US
     if state.told and state.told[0].crossing.time_us < late_us:
         state = replace(state, told=tuple(x for x in state.told if x.crossing.time_us >= late_us))
-    fresh = (
-        *_first_seen(joined, states, view, ruler, told, found, state),
-        *_last_seen(before, stood, joined, view, ruler, told, state.told),
-    )
-    waiting = (*state.waiting, *fresh)
-    if not waiting:
-        return state, ()
-    return _settled(
-        replace(state, waiting=waiting), joined.vehicles, states.pending, view, ruler, told, found, observed
-    )
+    fresh = (*_first_seen(state, known), *_last_seen(state, before, stood, known))
+    state = replace(state, waiting=(*state.waiting, *fresh), gone=watch_lost(state.gone, known))
+    if state.gone and known.found:
+        state = _passed(state, known)
+    return _settled(state, known) if state.waiting else (state, ())
 
 
-def _settled(  # noqa: PLR0913, PLR0917 - what waits, and all that speaks against it
-    state: UnseenState,
-    vehicles: Vehicles,
-    pending: Sequence[Pending],
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    found: Sequence[Crossing],
-    observed: Observed,
-) -> tuple[UnseenState, tuple[Crossing, ...]]:
+def ended(state: UnseenState, before: Vehicles, joined: Joined, now_us: int) -> UnseenState:
+    """Return the state with the vehicles that are given up in this scan."""
+    if joined.origin is None:
+        return state
+    stay = set(joined.origin.tolist())
+    last_us = now_us - _ENDED_US
+    fresh = [
+        Ended(int(before.number[k]), int(before.vehicle[k]), int(before.last_us[k]))
+        for k in range(len(before)) if k not in stay
+    ]  # fmt: skip
+    return replace(state, ended=(*(x for x in state.ended if x.last_us >= last_us), *fresh))
+
+
+def _passed(state: UnseenState, known: Known) -> UnseenState:
+    """Return what waits with those who crossed ahead of the vehicles that did."""
+    for follower in known.found:
+        inferred = [x.crossing for x in state.waiting]
+        gone, passed = passed_before(state.gone, follower, known, inferred)
+        fresh = []
+        for x, time_us in passed:
+            line = next(k for k, line in enumerate(known.view.lines) if line.line_id == x.line_id)
+            crossing = _crossing(
+                known.view, line, x.way, time_us, x.track, known.view.window[0].frame, follower.speed_mps,
+                math.nan, known.view.parameters.unseen_passed_share, x.vehicle,
+            )  # fmt: skip
+            lost = Lost(x.last_us, x.way.ahead_m, 0.0, 0.0)
+            fresh.append(Waiting(crossing, lost, in_order=True))
+        state = replace(state, waiting=(*state.waiting, *fresh), gone=gone)
+    return state
+
+
+def _settled(state: UnseenState, known: Known) -> tuple[UnseenState, tuple[Crossing, ...]]:
     """Return what still waits, since others may yet be counted at its place, and what is sure, by time."""
-    p, wait_us = view.parameters, round(1e6 * view.parameters.unseen_wait_s)
+    view, p = known.view, known.view.parameters
+    wait_us = round(1e6 * p.unseen_wait_s)
     late = [x for x in state.waiting if view.time_us - x.crossing.time_us >= wait_us]
     if not late:
         return state, ()
-    others = [*found, *(x.fitted for x in pending if x.fitted is not None)]
+    others = [*known.found, *(x.fitted for x in known.states.pending if x.fitted is not None)]
     sure: list[Waiting] = []
     for x in sorted(late, key=lambda x: (x.crossing.time_us, x.crossing.track)):
         if (
-            observed.holds(x.crossing.time_us)
-            and (x.in_order or not _told(x.crossing, told, others, p))
+            known.observed.holds(x.crossing.time_us)
+            and (x.in_order or not (_told(x.crossing, known.told, others, p) or _held_up(x, known)))
             and not _same_vehicle(x, (*state.told, *sure), p)
-            and not _held_up(x, vehicles, view, ruler)
         ):
             crossing = replace(x.crossing, frame=_frame_at(x.crossing, view))
             sure.append(replace(x, crossing=crossing))
             others.append(crossing)
     waiting = tuple(x for x in state.waiting if view.time_us - x.crossing.time_us < wait_us)
-    return UnseenState(waiting, (*state.told, *sure)), tuple(x.crossing for x in sure)
+    told = tuple(x.crossing for x in sure)
+    return replace(state, waiting=waiting, told=(*state.told, *sure)), told
 
 
 def _frame_at(x: Crossing, view: View) -> int:
@@ -156,9 +155,9 @@ def _same_vehicle(x: Waiting, others: Iterable[Waiting], p: CountParameters) -> 
     )
 
 
-def _held_up(x: Waiting, vehicles: Vehicles, view: View, ruler: Ruler) -> bool:
+def _held_up(x: Waiting, known: Known) -> bool:
     """Return whether, between where a vehicle was lost and its line, one was found later or stands."""
-    lost = x.lost
+    lost, view, vehicles = x.lost, known.view, known.joined.vehicles
     if lost is None:
         return False
     line = next((k for k, line in enumerate(view.lines) if line.line_id == x.crossing.line_id), -1)
@@ -167,28 +166,21 @@ def _held_up(x: Waiting, vehicles: Vehicles, view: View, ruler: Ruler) -> bool:
     away_m = np.hypot(real[X] - x.crossing.x_m, real[Y] - x.crossing.y_m)
     near = (vehicles.last_us > lost.time_us) & (away_m <= lost.ahead_m + SAME_LANE_M)
     near &= (vehicles.first_us > lost.time_us) | slow
-    for row in np.flatnonzero(near).tolist():
-        state = real[:, row].copy()
-        if slow[row]:
-            state[[VX, VY]] = lost.vx_mps, lost.vy_mps  # which way a standing one goes says its lane
-        for k, way in ways(state, view.lines, ruler):
-            beside = math.hypot(way.x_m - x.crossing.x_m, way.y_m - x.crossing.y_m) < SAME_LANE_M
-            same_way = k == line and way.direction == x.crossing.direction
-            if same_way and beside and 0.0 < way.ahead_m <= lost.ahead_m:
-                return True
-    return False
+    rows = np.flatnonzero(near)
+    if line < 0 or not len(rows):
+        return False
+    there = real[:, rows]
+    there[VX, slow[rows]], there[VY, slow[rows]] = lost.vx_mps, lost.vy_mps  # a standing one's lane
+    found = stands(there, view.lines, known.ruler)
+    way = Way(0.0, x.crossing.x_m, x.crossing.y_m, x.crossing.lane, x.crossing.direction)
+    ahead_m = found.ahead_m[:, line]
+    between = found.beside(line, way, SAME_LANE_M) & (ahead_m > 0.0) & (ahead_m <= lost.ahead_m)
+    return bool(between.any())
 
 
-def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
-    joined: Joined,
-    states: LineStates,
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    seen: Sequence[Crossing],
-    state: UnseenState,
-) -> list[Waiting]:
+def _first_seen(state: UnseenState, known: Known) -> list[Waiting]:
     """Return crossings before their birth of the vehicles that have just been followed for long enough."""
+    view, joined, states = known.view, known.joined, known.states
     p, v, found = view.parameters, joined.vehicles, list[Waiting]()
     least_us = round(p.unseen_life_s * 1e6)
     due = (joined.measured >= 0) & (v.last_us - v.first_us >= least_us)
@@ -207,70 +199,40 @@ def _first_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
             continue
         drove = min(speed, float(speeds[0])) >= p.unseen_least_mps
         pending = {x.line for x in states.pending if x.number == number}
-        for line, way in ways(samples.real[:, 0], view.lines, ruler):
+        for line, way in ways(samples.real[:, 0], view.lines, known.ruler):
             if states.counted[row, line] or line in pending or way.ahead_m >= p.travel_m:
                 continue
-            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, state.told)
+            there = _speed_there(view.lines[line].line_id, way, known, state.told)
             near = drove and way.ahead_m >= -p.unseen_behind_s * speed
             if near:
                 passed_s = float(samples.time_s[0]) + way.ahead_m * _slowness(speed, there)
                 time_us = view.time_us + 1e6 * passed_s
             else:
-                also = _not_told(line, view, seen, (*state.waiting, *found), states.pending)
-                between_us = _in_order(row, line, joined, view, ruler, told, also)
+                between_us = _in_order(row, line, known, (*state.waiting, *found))
                 if between_us is None:
                     continue
                 time_us = between_us
             states.counted[row, line] = True
             crossing = _crossing(
                 view, line, way, time_us, number, int(samples.frame[0]),
-                speed if there is None else there, float(samples.real[LENGTH, -1]), existence,
+                speed if there is None else there, float(samples.real[LENGTH, -1]),
+                existence * (p.unseen_share if near else p.unseen_between_share),
             )  # fmt: skip
             found.append(Waiting(crossing, None, in_order=not near))
     return found
 
 
-def _not_told(
-    line: int, view: View, seen: Sequence[Crossing], waiting: Sequence[Waiting], pending: Sequence[Pending]
-) -> list[Crossed]:
-    """Return the crossings of a line that are certain or probable, but not told yet."""
-    line_id = view.lines[line].line_id
-    sure = (x for x in (*seen, *(x.crossing for x in waiting)) if x.line_id == line_id)
-    return [
-        *(Crossed(x.time_us, x.x_m, x.y_m, x.direction, (x.track, x.vehicle)) for x in sure),
-        *(
-            Crossed(x.time_us, x.x_m, x.y_m, x.direction, (x.number, x.vehicle))
-            for x in pending if x.line == line
-        ),
-    ]  # fmt: skip
-
-
-def _in_order(  # noqa: PLR0913, PLR0917 - as for `unseen`
-    row: int,
-    line: int,
-    joined: Joined,
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    also: Sequence[Crossed],
-) -> float | None:
+def _in_order(row: int, line: int, known: Known, waiting: Sequence[Waiting]) -> float | None:
     """Return when a vehicle crossed a line far behind it [us], None where its lane's order does not say."""
-    for k, way in ways(joined.vehicles.real[:, row], view.lines, ruler):
-        if k == line and -view.parameters.unseen_order_m <= way.ahead_m < 0.0:
-            return crossed_between(row, line, way, joined, view, ruler, told, also)
+    for k, way in known.stands.ways(row):
+        if k == line and -known.view.parameters.unseen_order_m <= way.ahead_m < 0.0:
+            return crossed_between(row, line, way, known, [x.crossing for x in waiting])
     return None
 
 
-def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
-    before: Vehicles,
-    stood: LineStates,
-    joined: Joined,
-    view: View,
-    ruler: Ruler,
-    told: Sequence[MinuteBlock],
-    guessed: Sequence[Waiting],
-) -> Iterator[Waiting]:
+def _last_seen(state: UnseenState, before: Vehicles, stood: LineStates, known: Known) -> Iterator[Waiting]:
     """Yield crossings after their last measurement of the vehicles that are given up in this scan."""
+    joined, view = known.joined, known.view
     if joined.origin is None or stood.counted.shape[1] != len(view.lines):
         return
     p = view.parameters
@@ -282,29 +244,28 @@ def _last_seen(  # noqa: PLR0913, PLR0917 - as for `unseen`
         speed = math.hypot(vx_mps, vy_mps)
         if speed < p.unseen_least_mps:
             continue
-        for line, way in ways(before.real[:, row], view.lines, ruler):
+        for line, way in ways(before.real[:, row], view.lines, known.ruler):
             if stood.counted[row, line] or not -p.travel_m < way.ahead_m <= p.unseen_ahead_s * speed:
                 continue
-            there = _speed_there(view.lines[line].line_id, way, view.time_us, told, guessed)
+            there = _speed_there(view.lines[line].line_id, way, known, state.told)
             lost_us = int(before.last_us[row])
             crossing = _crossing(
                 view, line, way, lost_us + 1e6 * way.ahead_m * _slowness(speed, there),
                 int(before.number[row]), view.window[0].frame, speed if there is None else there, math.nan,
-                1.0, int(before.vehicle[row]),
+                p.unseen_share, int(before.vehicle[row]),
             )  # fmt: skip
             yield Waiting(crossing, Lost(lost_us, way.ahead_m, vx_mps, vy_mps))
 
 
-def _speed_there(
-    line_id: str, way: Way, now_us: int, told: Sequence[MinuteBlock], guessed: Sequence[Waiting]
-) -> float | None:
+def _speed_there(line_id: str, way: Way, known: Known, inferred: Sequence[Waiting]) -> float | None:
     """Return the median speed of the last vehicles that were seen crossing there, None without.
 
-    guessed: told crossings that nobody saw; their speeds are copies.
+    inferred: told crossings that nobody saw; their speeds are copies.
     """
-    copies = [x.crossing.track for x in guessed if x.crossing.line_id == line_id]
+    now_us = known.view.time_us
+    copies = [x.crossing.track for x in inferred if x.crossing.line_id == line_id]
     speeds: list[tuple[int, float]] = []
-    for block in told:
+    for block in known.told:
         if block.line_id == line_id and block.minute >= now_us // MINUTE_US - 1:
             table = block.table()
             near = np.hypot(table["x_m"] - way.x_m, table["y_m"] - way.y_m) < SAME_LANE_M
@@ -323,7 +284,7 @@ def _slowness(here_mps: float, there_mps: float | None) -> float:
 
 def _crossing(  # noqa: PLR0913, PLR0917 - what is known of it
     view: View, line: int, way: Way, time_us: float, track: int, frame: int, speed_mps: float,
-    length_m: float, existence: float, vehicle: int | None = None,
+    length_m: float, probability: float, vehicle: int | None = None,
 ) -> Crossing:  # fmt: skip
     return Crossing(
         line_id=view.lines[line].line_id,
@@ -337,7 +298,7 @@ def _crossing(  # noqa: PLR0913, PLR0917 - what is known of it
         y_m=way.y_m,
         speed_mps=speed_mps,
         length_m=length_m,
-        probability=existence * view.parameters.unseen_share,
+        probability=probability,
     )
 
 

@@ -82,3 +82,15 @@ def test_those_of_another_lane_tell_nothing():
     frames = convoy(HIDDEN, others=beside)
 
     assert sorted(x.track for x in seen(frames)) == [1, 3]
+
+
+def test_who_was_counted_and_still_seen_when_it_was_first_seen_is_another():
+    others = (5, 146.0, 146.0, 40.0), (7, 150.5, 59.0, 0.0)  # both are seen for a moment
+
+    assert sorted(crossed(LEADER, FOLLOWER, *others)) == [1, 3, 5, 7]
+
+
+def test_it_is_less_sure_than_one_whose_speed_tells():
+    (crossing,) = [x for x in seen(convoy(LEADER, FOLLOWER, HIDDEN)) if x.track == 7]
+
+    assert crossing.probability == pytest.approx(0.99 * 0.75, abs=1e-3)

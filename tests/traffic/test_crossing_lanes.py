@@ -7,7 +7,8 @@ import pytest
 
 from service.traffic.cells import ruler_of
 from service.traffic.counting import count, nothing_counted
-from service.traffic.crossing_lanes import lanes_at, way_across
+from service.traffic.crossing_lanes import way_across
+from service.traffic.lane_places import lanes_at
 from service.traffic.lines import Line
 from service.traffic.measured import measured_of
 from service.traffic.model import NO_LANE, NO_MAP, Lane, LaneMap, Moment
