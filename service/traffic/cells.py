@@ -2,8 +2,9 @@
 
 A cell is a piece of a lane, `cell_m` long along its centre line. Each vehicle's way from one measurement to
 the next is a straight line in place along the lane over time, cut exactly at the edges of cells and minutes;
-a gap that the tracker bridged, or that stitching did, is such a way, too. Distances are signed, so that the
-trembling of a standing vehicle adds up to nothing.
+a gap that the tracker bridged, or that stitching did, is such a way, too; so is that from a track's birth to
+where it is first listed, and from where a vehicle was lost to where it is listed again. Distances are signed,
+so that the trembling of a standing vehicle adds up to nothing.
 
 Source: Edie, L. C., "Discussion of traffic stream measurements and definitions", 1963.
 """
@@ -128,13 +129,11 @@ def drive(
 
 
 def _lanes(joined: Joined, lane: U8, ruler: Ruler) -> I64:
-    """Return (V,) the place in the ruler of each vehicle's lane, -1 if it was not measured now and before."""
+    """Return (V,) the place in the ruler of each vehicle's lane, -1 if it was not measured now."""
     if not len(lane):
         return np.full(len(joined.vehicles), -1)
     which: I64 = _places(ruler.lane)[lane[joined.measured]]
     which[joined.measured < 0] = -1
-    if joined.origin is not None:
-        which[joined.origin < 0] = -1
     return which
 
 

@@ -20,6 +20,7 @@ from service.traffic.count_parameters import CountParameters
 from service.traffic.coverage import NOTHING_RECEIVED, Coverage, receive
 from service.traffic.crossing_lanes import passing_s, relabelled, way_across
 from service.traffic.crossings import LineStates, View, cross, no_line_states
+from service.traffic.ended import Ended, given_up, resumed
 from service.traffic.known import Known, Observed
 from service.traffic.lane_places import lanes_at
 from service.traffic.line_placing import place_lines
@@ -39,7 +40,7 @@ from service.traffic.records import (
     record_of,
 )
 from service.traffic.stitching import Vehicles, join, no_vehicles
-from service.traffic.unseen import UnseenState, ended, unseen
+from service.traffic.unseen import UnseenState, unseen
 from service.traffic.window import Scan, remember, scan_of
 
 OPEN_US = 2 * MINUTE_US  # after the start of its minute a block, and the sums of a minute, are closed
@@ -62,6 +63,7 @@ class CountState:
     ruler: Ruler
     cells: tuple[MinuteCells, ...]
     crossings: int  # given out in this epoch
+    ended: tuple[Ended, ...] = ()
     unseen: UnseenState = UnseenState()  # noqa: RUF009 - it cannot be changed
     until_us: int = 0  # of the last frame before the last stretch without any
     since_us: int = 0  # ... and of the first one after it
@@ -95,7 +97,8 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     joined = join(state.vehicles, scan, p)
     states, found = cross(state.states, joined, View(window, state.lines, p))
     ruler = state.ruler if state.ruler.version == lanes.version else ruler_of(lanes, p.cell_m)
-    cells = drive(state.cells, ruler, joined, scan.lane, now_us)
+    ended = given_up(state.ended, state.vehicles, joined, now_us)
+    cells = drive(state.cells, ruler, resumed(joined, ended), scan.lane, now_us)
     coverage = state.coverage
     if not moment.tick:
         if coverage.last_us is None or now_us - coverage.last_us > p.blind_s * 1e6:
@@ -107,12 +110,11 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     if ruler is not state.ruler and lanes.lanes:
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
-    others = ended(state.unseen, state.vehicles, joined, now_us)
     known = Known(
         joined, states, View(window, state.lines, p), ruler, mapped, found,
-        Observed(state.until_us, state.since_us, coverage.last_us or 0), others.ended,
+        Observed(state.until_us, state.since_us, coverage.last_us or 0), ended,
     )  # fmt: skip
-    others, beyond = unseen(others, state.vehicles, state.states, known)
+    others, beyond = unseen(state.unseen, state.vehicles, state.states, known)
     if beyond:
         found = tuple(sorted((*found, *beyond), key=lambda x: (x.time_us, x.track)))
     found = _once(found, mapped)
@@ -122,7 +124,7 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     state = CountState(
         lines=state.lines, placed_on=state.placed_on, vehicles=joined.vehicles, states=states, window=window,
         leaders=leaders, blocks=blocks, coverage=coverage, ruler=ruler, cells=cells,
-        crossings=state.crossings + len(crossings), unseen=others,
+        crossings=state.crossings + len(crossings), ended=ended, unseen=others,
         until_us=state.until_us, since_us=state.since_us,
     )  # fmt: skip
     state, received, sums = _told(state, moment)

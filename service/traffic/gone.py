@@ -12,23 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.tracking.model import F64, I64
 from service.traffic.known import SAME_LANE_M, Crossed, Known
 from service.traffic.lane_places import Way
 from service.traffic.records import Crossing
 
 
 @dataclass(frozen=True, slots=True)
-class Mate:
-    """Another vehicle of a lane, at the moment when one was lost."""
-
-    number: int
-    vehicle: int
-    behind_m: float  # farther from the line; negative: it was nearer
-
-
-@dataclass(frozen=True, slots=True)
 class Gone:
-    """A vehicle that was lost before a line."""
+    """A vehicle that was lost before a line, and the M others of its lane at that moment."""
 
     track: int
     vehicle: int
@@ -37,7 +29,8 @@ class Gone:
     first_us: int
     last_us: int
     newest: int  # of the tracks that were listed while it was seen: their vehicles are others
-    mates: tuple[Mate, ...]
+    names: I64  # (2, M) tracks and vehicles of the others
+    behind_m: F64  # (M,) how much farther from the line they were; negative: nearer
 
 
 def watch_lost(gone: tuple[Gone, ...], known: Known) -> tuple[Gone, ...]:
@@ -67,15 +60,12 @@ def _lost(row: int, known: Known) -> list[Gone]:
         behind_m = known.stands.ahead_m[:, line] - (way.ahead_m - driven_m)
         if np.any(np.abs(behind_m[here]) < p.assumed_length_m):
             continue  # one vehicle that was followed twice
-        mates = tuple(
-            Mate(int(v.number[k]), int(v.vehicle[k]), float(behind_m[k]))
-            for k in np.flatnonzero(here).tolist()
-        )
         others = v.number[v.first_us <= v.last_us[row]]
         found.append(
             Gone(
                 int(v.number[row]), int(v.vehicle[row]), known.view.lines[line].line_id, way,
-                int(v.first_us[row]), int(v.last_us[row]), int(others.max()), mates,
+                int(v.first_us[row]), int(v.last_us[row]), int(others.max()),
+                np.array([v.number[here], v.vehicle[here]]), behind_m[here],
             )
         )  # fmt: skip
     return found
@@ -88,26 +78,28 @@ def passed_before(
 
     inferred: crossings that nobody saw and that are not told yet.
     """
-    behind = {follower.track, follower.vehicle}
-    mine = [x for x in gone if x.line_id == follower.line_id and _place(x, behind) > 0.0]
+    behind = [follower.track, follower.vehicle]
+    places_m = {k: _place(x, behind) for k, x in enumerate(gone) if x.line_id == follower.line_id}
+    mine = [k for k, place_m in places_m.items() if place_m > 0.0]
     if not mine:
         return gone, []
     line = next(k for k, line in enumerate(known.view.lines) if line.line_id == follower.line_id)
     found = list[tuple[Gone, float]]()
-    for x in mine:
+    for k in mine:
+        x = gone[k]
         there = known.crossed(line, x.way, inferred)
-        followed = any(behind.intersection(y.names) for y in there)  # it crossed in the same lane
+        followed = any(set(behind).intersection(y.names) for y in there)  # it crossed in the same lane
         counted = any({x.track, x.vehicle}.intersection(y.names) for y in there)
         if counted or not followed or _is_seen(x, known):
             continue
         since_us, since_m = _leader(x, there)
         # whoever was listed later may be the same vehicle, found again
         later = sum(since_us < y.time_us < follower.time_us and min(y.names) > x.newest for y in there)
-        together = sum(y.first_us <= x.last_us and x.first_us <= y.last_us for y in mine)
+        together = sum(gone[i].first_us <= x.last_us and x.first_us <= gone[i].last_us for i in mine)
         if later + len(found) < together:
-            share = -since_m / (_place(x, behind) - since_m)
+            share = -since_m / (places_m[k] - since_m)
             found.append((x, since_us + share * (follower.time_us - since_us)))
-    return tuple(x for x in gone if x not in mine), found
+    return tuple(x for k, x in enumerate(gone) if k not in mine), found
 
 
 def _is_seen(x: Gone, known: Known) -> bool:
@@ -117,19 +109,20 @@ def _is_seen(x: Gone, known: Known) -> bool:
     return bool(np.any((v.vehicle == x.vehicle) & (known.view.time_us - v.last_us < silent_us)))
 
 
-def _place(x: Gone, names: set[int]) -> float:
+def _place(x: Gone, names: Sequence[int]) -> float:
     """Return how far behind a lost vehicle another was, 0 when it was not seen."""
-    return next((mate.behind_m for mate in x.mates if names & {mate.number, mate.vehicle}), 0.0)
+    rows = np.flatnonzero(np.isin(x.names, names).any(axis=0))
+    return float(x.behind_m[rows[0]]) if len(rows) else 0.0
 
 
 def _leader(x: Gone, there: Sequence[Crossed]) -> tuple[int, float]:
     """Return when the nearest ahead of a lost vehicle crossed that did, and where it was; else the loss."""
     when_us = {name: y.time_us for y in there for name in y.names}
-    known = [
-        (mate.behind_m, when_us.get(mate.number, when_us.get(mate.vehicle)))
-        for mate in x.mates if mate.behind_m < 0.0
+    crossed = [
+        (behind_m, when_us[name])
+        for behind_m, *names in zip(x.behind_m.tolist(), *x.names.tolist(), strict=True)
+        for name in names if behind_m < 0.0 and name in when_us
     ]  # fmt: skip
-    crossed = [(behind_m, time_us) for behind_m, time_us in known if time_us is not None]
     if not crossed:
         return x.last_us, -x.way.ahead_m
     behind_m, time_us = max(crossed)

@@ -12,6 +12,7 @@ import numpy as np
 
 from service.traffic.cells import Ruler
 from service.traffic.crossings import LineStates, View
+from service.traffic.ended import Ended
 from service.traffic.lane_places import Stands, Way, stands
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Joined
@@ -40,15 +41,6 @@ class Observed:
     def holds(self, time_us: int) -> bool:
         """Return whether a moment of the last seconds was observed."""
         return time_us <= self.until_us or self.since_us <= time_us <= self.now_us
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """A vehicle that was given up: how it was named, and when it was seen last."""
-
-    number: int
-    vehicle: int
-    last_us: int
 
 
 @dataclass(frozen=True)  # without slots: a cached property wants a place

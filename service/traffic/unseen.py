@@ -23,14 +23,13 @@ from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
 from service.traffic.crossings import LineStates, View
 from service.traffic.gone import Gone, passed_before, watch_lost
-from service.traffic.known import SAME_LANE_M, Ended, Known
+from service.traffic.known import SAME_LANE_M, Known
 from service.traffic.lane_places import Way, stands, ways
 from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
-from service.traffic.stitching import Joined, Vehicles
+from service.traffic.stitching import Vehicles
 from service.traffic.window import past_of, samples_of
 
-_ENDED_US = 60_000_000  # since then it is known who was given up
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line
 _SLOW_MPS = 1.0
 
@@ -62,7 +61,6 @@ class UnseenState:
 
     waiting: tuple[Waiting, ...] = ()
     told: tuple[Waiting, ...] = ()
-    ended: tuple[Ended, ...] = ()
     gone: tuple[Gone, ...] = ()
 
 
@@ -83,19 +81,6 @@ def unseen(
     if state.gone and known.found:
         state = _passed(state, known)
     return _settled(state, known) if state.waiting else (state, ())
-
-
-def ended(state: UnseenState, before: Vehicles, joined: Joined, now_us: int) -> UnseenState:
-    """Return the state with the vehicles that are given up in this scan."""
-    if joined.origin is None:
-        return state
-    stay = set(joined.origin.tolist())
-    last_us = now_us - _ENDED_US
-    fresh = [
-        Ended(int(before.number[k]), int(before.vehicle[k]), int(before.last_us[k]))
-        for k in range(len(before)) if k not in stay
-    ]  # fmt: skip
-    return replace(state, ended=(*(x for x in state.ended if x.last_us >= last_us), *fresh))
 
 
 def _passed(state: UnseenState, known: Known) -> UnseenState:
