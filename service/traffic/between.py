@@ -15,7 +15,7 @@ from service.traffic.known import SAME_LANE_M, Known
 from service.traffic.lane_places import Way
 from service.traffic.records import Crossing
 
-Stand = tuple[float, float | None]  # how far ahead of a vehicle the line is, and when it crossed it [us]
+Other = tuple[float, float | None]  # how far ahead of a vehicle the line is, and when it crossed it [us]
 
 
 def crossed_between(
@@ -37,10 +37,11 @@ def crossed_between(
     if first is None or last is None or last[1] <= first[1]:
         return None
     here = 1 + sum(time_us is None and first[0] < ahead_m < last[0] for ahead_m, time_us in others)
-    # whoever was still seen when this one was first seen is another, who was lost since
-    seen_us, first_us = known.last_us, int(v.first_us[row])
+    # whoever was seen beside it for a while is another, who was lost since
+    seen_us = known.last_us
+    beside_us = int(v.first_us[row]) + round(1e6 * known.view.parameters.least_life_s)
     counted = sum(
-        first[1] < x.time_us < last[1] and all(seen_us.get(name, -1) < first_us for name in x.names)
+        first[1] < x.time_us < last[1] and all(seen_us.get(name, -1) < beside_us for name in x.names)
         for x in there
     )
     if here <= counted:
@@ -49,12 +50,12 @@ def crossed_between(
     return first[1] + share * (last[1] - first[1])
 
 
-def _others(row: int, line: int, mine: Way, known: Known, crossed_us: Mapping[int, int]) -> list[Stand]:
+def _others(row: int, line: int, mine: Way, known: Known, crossed_us: Mapping[int, int]) -> list[Other]:
     """Return how the other vehicles of a lane that are seen now stand to a line.
 
     One before the line crosses it later than now.
     """
-    v, others = known.joined.vehicles, list[Stand]()
+    v, others = known.joined.vehicles, list[Other]()
     here = known.stands.beside(line, mine, SAME_LANE_M) & (known.joined.measured >= 0)
     here[row] = False
     for other in np.flatnonzero(here).tolist():

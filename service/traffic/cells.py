@@ -2,9 +2,9 @@
 
 A cell is a piece of a lane, `cell_m` long along its centre line. Each vehicle's way from one measurement to
 the next is a straight line in place along the lane over time, cut exactly at the edges of cells and minutes;
-a gap that the tracker bridged, or that stitching did, is such a way, too; so is that from a track's birth to
-where it is first listed, and from where a vehicle was lost to where it is listed again. Distances are signed,
-so that the trembling of a standing vehicle adds up to nothing.
+a gap that the tracker bridged, or that stitching did, is such a way, too; so is that from where a vehicle was
+lost to where it is listed again. Distances are signed, so that the trembling of a standing vehicle adds up to
+nothing.
 
 Source: Edie, L. C., "Discussion of traffic stream measurements and definitions", 1963.
 """

@@ -43,8 +43,8 @@ class CountParameters:
     unseen_across_m: float = 2.5  # beside one another vehicles are farther apart
     # Shares of such crossings that are real, on simulated roads
     unseen_share: float = 0.93  # told by speed
-    unseen_between_share: float = 0.75  # by who drives before and behind it: 31 of 42 within three seconds
-    unseen_passed_share: float = 0.9  # by who drove behind it when it was lost: 61 of 68
+    unseen_between_share: float = 0.75  # by who drives before and behind it: 33 of 44 within three seconds
+    unseen_passed_share: float = 0.9  # by who drove behind it when it was lost: 52 of 56
 
     least_life_s: float = 1.0  # listed for less, a vehicle is more often a ghost than not
     least_existence: float = 0.5  # of a track whose crossing is counted

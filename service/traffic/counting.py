@@ -97,14 +97,15 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     joined = join(state.vehicles, scan, p)
     states, found = cross(state.states, joined, View(window, state.lines, p))
     ruler = state.ruler if state.ruler.version == lanes.version else ruler_of(lanes, p.cell_m)
-    ended = given_up(state.ended, state.vehicles, joined, now_us)
-    cells = drive(state.cells, ruler, resumed(joined, ended), scan.lane, now_us)
     coverage = state.coverage
     if not moment.tick:
         if coverage.last_us is None or now_us - coverage.last_us > p.blind_s * 1e6:
             # who drove since the last frame was not seen
             state = replace(state, leaders=(), until_us=coverage.last_us or 0, since_us=now_us)
         coverage = receive(coverage, now_us, setup.config.rate_hz, p.blind_s)
+    ended = given_up(state.ended, state.vehicles, joined, now_us)
+    coming = resumed(joined, ended, state.since_us, now_us)
+    cells = drive(state.cells, ruler, coming, scan.lane, now_us)
     mapped: tuple[MinuteBlock, ...] = state.blocks
     relabelled_blocks: tuple[MinuteBlock, ...] = ()
     if ruler is not state.ruler and lanes.lanes:

@@ -22,6 +22,7 @@ from service.traffic.between import crossed_between
 from service.traffic.count_parameters import CountParameters
 from service.traffic.crossing_lanes import passing_s
 from service.traffic.crossings import LineStates, View
+from service.traffic.ended import left
 from service.traffic.gone import Gone, passed_before, watch_lost
 from service.traffic.known import SAME_LANE_M, Known
 from service.traffic.lane_places import Way, stands, ways
@@ -88,6 +89,8 @@ def _passed(state: UnseenState, known: Known) -> UnseenState:
     for follower in known.found:
         inferred = [x.crossing for x in state.waiting]
         gone, passed = passed_before(state.gone, follower, known, inferred)
+        if gone is state.gone:
+            continue
         fresh = []
         for x, time_us in passed:
             line = next(k for k, line in enumerate(known.view.lines) if line.line_id == x.line_id)
@@ -97,7 +100,9 @@ def _passed(state: UnseenState, known: Known) -> UnseenState:
             )  # fmt: skip
             lost = Lost(x.last_us, x.way.ahead_m, 0.0, 0.0)
             fresh.append(Waiting(crossing, lost, in_order=True))
-        state = replace(state, waiting=(*state.waiting, *fresh), gone=gone)
+        better = {(x.crossing.line_id, x.crossing.vehicle) for x in fresh}  # than what its speed tells
+        waiting = (x for x in state.waiting if (x.crossing.line_id, x.crossing.vehicle) not in better)
+        state = replace(state, waiting=(*waiting, *fresh), gone=gone)
     return state
 
 
@@ -218,13 +223,13 @@ def _in_order(row: int, line: int, known: Known, waiting: Sequence[Waiting]) -> 
 def _last_seen(state: UnseenState, before: Vehicles, stood: LineStates, known: Known) -> Iterator[Waiting]:
     """Yield crossings after their last measurement of the vehicles that are given up in this scan."""
     joined, view = known.joined, known.view
-    if joined.origin is None or stood.counted.shape[1] != len(view.lines):
+    if stood.counted.shape[1] != len(view.lines):
         return
     p = view.parameters
-    gone = np.ones(len(before), dtype=np.bool_)
-    gone[joined.origin[joined.origin >= 0]] = False
-    gone &= before.last_us - before.first_us >= round(p.unseen_life_s * 1e6)
-    for row in np.flatnonzero(gone).tolist():
+    least_us = round(p.unseen_life_s * 1e6)
+    for row in left(before, joined).tolist():
+        if before.last_us[row] - before.first_us[row] < least_us:
+            continue
         vx_mps, vy_mps = before.real[[VX, VY], row].tolist()
         speed = math.hypot(vx_mps, vy_mps)
         if speed < p.unseen_least_mps:

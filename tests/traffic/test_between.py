@@ -85,9 +85,12 @@ def test_those_of_another_lane_tell_nothing():
 
 
 def test_who_was_counted_and_still_seen_when_it_was_first_seen_is_another():
-    others = (5, 146.0, 146.0, 40.0), (7, 150.5, 59.0, 0.0)  # both are seen for a moment
+    others = (5, 146.0, 146.0, 35.0), (7, 150.5, 59.0, 0.0)  # both are seen for a moment
 
     assert sorted(crossed(LEADER, FOLLOWER, *others)) == [1, 3, 5, 7]
+
+    shorter = (5, 146.0, 146.0, 51.5), (7, 150.5, 59.0, 0.0)  # for 0.2 s: it may be the second track of one
+    assert sorted(crossed(LEADER, FOLLOWER, *shorter)) == [1, 3, 5]
 
 
 def test_it_is_less_sure_than_one_whose_speed_tells():

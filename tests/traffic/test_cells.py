@@ -28,16 +28,18 @@ ROAD = LaneMap(3, START_US, 0, 50, "learned", (
 SETUP = traffic_setup(SensorConfig(count_lines=(CountLine(line_id="C40", p0=(-9.0, 40.0), p1=(9.0, 40.0)),)))
 
 
-def driven(places, *, vy_mps=-10.0, start_us=START_US, lane=1, older_s=0.0):
+def driven(places, *, vy_mps=-10.0, start_us=START_US, lane=1, silent=()):
     """The sums of the cells after a vehicle was at these places, by (minute, cell): metres and seconds.
 
-    older_s: how long before the first place its track was born.
+    silent: frames that do not come.
     """
     state, sums = nothing_counted(), {}
     for k, y in enumerate(places):
+        if k in silent and k % 20:
+            continue  # there is a tick each second
         now = estimates([1] if y is not None else [], 0.0, y or 0.0, 0.0, vy_mps)
-        now.lane[:], now.born_us[:] = lane, start_us - round(older_s * 1e6)
-        moment = Moment(start_us + k * FRAME_US, k, tick=False)
+        now.lane[:] = lane
+        moment = Moment(start_us + k * FRAME_US, k, tick=k in silent)
         state, counts = count(state, moment, now, measured_of(now), ROAD, SETUP)
         sums |= {(part.minute, part.map_version): part for part in counts.cells}
     end = Moment(start_us + len(places) * FRAME_US + 1_000_000, len(places), tick=True)
@@ -73,13 +75,6 @@ def test_a_gap_that_the_tracker_bridged_is_driven_through():
     assert driven([*places[:60], *[None] * 20, *places[80:]]) == driven(places)
 
 
-def test_the_way_from_its_birth_to_where_it_is_first_listed_is_driven():
-    listed, whole = np.arange(95.0, 75.0, -0.5), np.arange(100.0, 75.0, -0.5)
-    start_us = START_US + 2_000_000
-
-    assert driven(listed, start_us=start_us, older_s=0.5) == driven(whole, start_us=start_us)
-
-
 def test_a_vehicle_that_is_listed_again_under_its_number_was_there_all_the_while():
     """It stops at 60 m, is hidden for ten seconds, and goes on from 58 m."""
     before, after = np.arange(105.0, 60.0, -0.5).tolist(), np.arange(58.0, 30.0, -0.5).tolist()
@@ -89,6 +84,21 @@ def test_a_vehicle_that_is_listed_again_under_its_number_was_there_all_the_while
     metres, seconds = np.sum(list(found.values()), axis=0)
     assert metres == pytest.approx(105.0 - 30.5, abs=1e-3)
     assert seconds == pytest.approx((len(before) + 200 + len(after) - 1) * FRAME_US / 1e6, abs=1e-3)
+
+    unseen = driven([*before, *[None] * 200, *after], silent=range(len(before), len(before) + 200))
+    metres, seconds = np.sum(list(unseen.values()), axis=0)
+    assert seconds == pytest.approx(
+        (len(before) + len(after) - 2) * FRAME_US / 1e6, abs=1e-3
+    )  # no frame came
+
+
+def test_a_number_that_comes_back_elsewhere_bridges_nothing():
+    before, after = np.arange(105.0, 60.0, -0.5).tolist(), np.arange(70.0, 30.0, -0.5).tolist()
+
+    found = driven([*before, *[None] * 200, *after])  # ten metres back
+
+    _, seconds = np.sum(list(found.values()), axis=0)
+    assert seconds == pytest.approx((len(before) + len(after) - 2) * FRAME_US / 1e6, abs=1e-3)
 
 
 def test_the_trembling_of_a_standing_vehicle_adds_time_and_no_distance():

@@ -8,10 +8,10 @@ import pytest
 from service.traffic.model import LaneMap
 from tests.traffic.test_crossing_lanes import lane
 from tests.traffic.test_crossings import NOBODY, drive, merged
-from tests.traffic.test_unseen import seen
+from tests.traffic.test_unseen import STEP_M, seen
 from tests.traffic.tracks import FRAME_US, START_US
 
-FRAMES = 260
+FRAMES, SILENT = 260, 10  # frames without a measurement after which a vehicle is lost
 AWAY = LaneMap(1, START_US, 1, 40, "learned", (lane(1, 1.75, backwards=True), lane(2, -1.75, backwards=True)))
 
 
@@ -56,8 +56,9 @@ def test_without_a_follower_nobody_can_say():
 
 
 def test_one_that_was_found_again_is_not_counted_twice():
-    assert sorted(crossed(LEADER, HIDDEN, (7, 10.0, 100.0, 200.0), FOLLOWER)) == [1, 3, 7]
-    back = convoy(LEADER, FOLLOWER), convoy(HIDDEN), convoy((2, 10.0, 100.0, 200.0))  # under its number
+    # after more than the three seconds over which pieces are joined
+    assert sorted(crossed(LEADER, HIDDEN, (7, 10.0, 103.0, 200.0), FOLLOWER)) == [1, 3, 7]
+    back = convoy(LEADER, FOLLOWER), convoy(HIDDEN), convoy((2, 10.0, 103.0, 200.0))  # under its number
     assert sorted(x.track for x in seen(merged(*back), AWAY)) == [1, 2, 3]
 
 
@@ -72,6 +73,30 @@ def test_each_of_two_that_were_lost_is_counted_unless_they_may_be_one():
 
 def test_a_second_track_of_a_vehicle_that_ends_is_nobody():
     assert sorted(crossed(LEADER, (2, 16.0, 0.0, 55.0), FOLLOWER)) == [1, 3]
+
+    first, second, last = convoy(LEADER), convoy((2, 16.0, 0.0, 55.0)), convoy(FOLLOWER)
+    silent = round(39.0 / STEP_M) + SILENT  # when the second is taken for lost, the first is not measured
+    first[silent] = None
+    assert sorted(x.track for x in seen(merged(first, second, last), AWAY)) == [1, 3]
+
+
+def test_one_that_is_seen_again_and_turns_off_has_not_crossed():
+    turns = convoy((2, 10.0, 66.0, 80.0))
+    for k, now in enumerate(turns):
+        now.x_m[:] += 0.4 * max(0.0, k - 75)  # off the road, while it is seen
+
+    frames = merged(convoy(LEADER, HIDDEN, FOLLOWER), turns)
+
+    assert sorted(x.track for x in seen(frames, AWAY)) == [1, 3]
+
+
+def test_a_follower_that_overtakes_in_another_lane_does_not_tell_yet():
+    beside = convoy((4, 4.0), x_m=-1.75)
+    changes = convoy((4, 4.0))[:75] + beside[75:]
+
+    frames = merged(convoy((1, 26.0), (2, 14.0, 0.0, 55.0), (3, -6.0)), changes)
+
+    assert sorted(x.track for x in seen(frames, AWAY)) == [1, 2, 3, 4]
 
 
 def test_one_that_was_seen_at_the_same_time_is_another():
