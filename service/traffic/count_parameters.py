@@ -28,6 +28,13 @@ class CountParameters:
     ghost_along_m: float = 4.0
     ghost_across_m: float = 1.2  # half of the widest vehicle
 
+    # An echo that goes to a neighbour and back seems to drive behind the vehicle, on its bearing.
+    bounce_from_m: float = 2.0  # behind it, ...
+    bounce_to_m: float = 20.0  # ... where a neighbour may be
+    bounce_spread_m: float = 4.0  # of that distance: a neighbour's way beside the vehicle
+    bounce_across_m: float = 0.9  # from the bearing, a median: half the width of a car
+    bounce_leaves_m: float = 1.0  # the way of the vehicle, which a follower would not
+
     # A crossing that nobody saw, of a vehicle first seen behind the line or last seen before it
     unseen_behind_s: float = 4.0  # of the way back to the line, at most; beyond, too few are real
     unseen_order_m: float = 120.0  # ... unless the order of its lane tells when that was

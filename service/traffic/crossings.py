@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, U8, Bool
 from service.traffic.count_parameters import CountParameters
-from service.traffic.ghosts import is_ghost
+from service.traffic.ghosts import is_bounce, is_ghost
 from service.traffic.lines import Line, directions, sides
 from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import Crossing
@@ -226,8 +226,11 @@ def _emit(
         if x.fitted is None or not x.passed or int(last_us[row] - first_us[row]) / 1e6 < p.least_life_s:
             kept.append(x)
         elif x.fitted.probability >= p.least_existence:
-            older = _older(v, row, p)
-            if not older or not is_ghost(past_of(view.window), x.number, older, p):
+            older, nearer = _older(v, row, p), _nearer(v, row, p)
+            past = past_of(view.window) if older or nearer else None
+            if past is None or not (
+                is_ghost(past, x.number, older, p) or is_bounce(past, x.number, nearer, p)
+            ):
                 done.append(x.fitted)
     done.sort(key=lambda crossing: (crossing.time_us, crossing.track))
     return replace(states, pending=tuple(kept)), tuple(done)
@@ -239,6 +242,18 @@ def _older(v: Vehicles, row: int, p: CountParameters) -> list[int]:
     older = (v.track_us < track_us) | ((v.track_us == track_us) & (v.number < v.number[row]))
     dx, dy = v.real[:2] - v.real[:2, row, None]
     older &= np.hypot(dx, dy) < 2 * p.ghost_along_m
+    numbers: list[int] = v.number[older].tolist()
+    return numbers
+
+
+def _nearer(v: Vehicles, row: int, p: CountParameters) -> list[int]:
+    """Return the tracks that this one may be a late echo of: older ones before it, on its bearing."""
+    older = v.track_us < v.track_us[row]
+    x, y = v.real[:2]
+    range_m = np.hypot(x, y)
+    behind_m = range_m[row] - range_m
+    across_m = np.abs(x[row] * y - y[row] * x) / np.maximum(range_m, 1.0)
+    older &= (behind_m > p.bounce_from_m) & (behind_m < p.bounce_to_m) & (across_m < 2 * p.bounce_across_m)
     numbers: list[int] = v.number[older].tolist()
     return numbers
 

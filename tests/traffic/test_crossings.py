@@ -226,3 +226,36 @@ def test_the_probability_is_the_existence_of_the_track_and_that_it_is_no_second_
     (crossing,) = crossings(frames)
 
     assert crossing.probability == pytest.approx(0.8 * SETUP.parameters.counting.real_share, abs=1e-6)
+
+
+WIDE = traffic_setup(SensorConfig(count_lines=(CountLine(line_id="C40", p0=(-20.0, 40.0), p1=(20.0, 40.0)),)))
+
+
+def ahead_and_behind(behind):
+    """A vehicle in the lane 8 m aside and, listed a little later, another that is where `behind` says."""
+    frames = []
+    for k, y in enumerate(approach(75.0, 10.0, 15.0)):
+        x_m, y_m = behind(8.0, y)
+        late = k >= 10
+        now = estimates([1, 2][: 1 + late], [8.0, x_m][: 1 + late], [y, y_m][: 1 + late], 0.0, -15.0)
+        now.born_us[1:] += 5 * FRAME_US
+        frames.append(now)
+    return frames
+
+
+def late_echo(x, y, late_m=14.0):
+    stretch = 1.0 + late_m / math.hypot(x, y)
+    return x * stretch, y * stretch
+
+
+def test_a_late_echo_of_a_vehicle_does_not_count():
+    found = crossings(ahead_and_behind(late_echo), setup=WIDE)
+
+    assert [crossing.track for crossing in found] == [1]
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 1.0, 3.5])
+def test_one_that_follows_in_its_lane_or_beside_it_does(aside_m):
+    found = crossings(ahead_and_behind(lambda x, y: (x + aside_m, y + 14.0)), setup=WIDE)
+
+    assert [crossing.track for crossing in found] == [1, 2]
