@@ -95,7 +95,8 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
     scan = scan_of(now_us, moment.frame, estimates, measured)
     window = remember(state.window, scan, round(p.window_s * 1e6))
     joined = join(state.vehicles, scan, p)
-    states, found = cross(state.states, joined, View(window, state.lines, p))
+    view = View(window, state.lines, p)
+    states, found = cross(state.states, joined, view)
     ruler = state.ruler if state.ruler.version == lanes.version else ruler_of(lanes, p.cell_m)
     coverage = state.coverage
     if not moment.tick:
@@ -112,7 +113,7 @@ def count(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
         mapped, relabelled_blocks, leaders = relabelled(state.blocks, state.leaders, state.lines, ruler, p)
         state = replace(state, leaders=leaders)
     known = Known(
-        joined, states, View(window, state.lines, p), ruler, mapped, found,
+        joined, states, view, ruler, mapped, found,
         Observed(state.until_us, state.since_us, coverage.last_us or 0), ended,
     )  # fmt: skip
     others, beyond = unseen(state.unseen, state.vehicles, state.states, known)

@@ -9,10 +9,9 @@ inside an older track is its ghost and does not count.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,8 @@ from service.traffic.lines import Line, directions, sides
 from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import Crossing
 from service.traffic.stitching import Joined, Vehicles
-from service.traffic.window import Scan, past_of, samples_of
+from service.traffic.window import Past, Scan, past_of, samples_of
 
-_time_us = attrgetter("time_us")
 _FIT_LEAST = 4  # samples of a fit; fewer: the step over the line alone
 
 
@@ -63,7 +61,7 @@ def no_line_states(vehicles: int, lines: int) -> LineStates:
     return LineStates(np.full(shape, np.nan), np.zeros(shape, np.int64), np.zeros(shape, np.bool_), ())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: a cached property wants a place
 class View:
     """What a crossing is judged by: the newest scan last, the lines, and the constants."""
 
@@ -75,6 +73,11 @@ class View:
     def time_us(self) -> int:
         """Return the time of the newest scan."""
         return self.window[-1].time_us
+
+    @cached_property
+    def past(self) -> Past:
+        """The samples of the window, as a table."""
+        return past_of(self.window)
 
 
 def cross(before: LineStates, joined: Joined, view: View) -> tuple[LineStates, tuple[Crossing, ...]]:
@@ -227,11 +230,11 @@ def _emit(
             kept.append(x)
         elif x.fitted.probability >= p.least_existence:
             older, nearer = _older(v, row, p), _nearer(v, row, p)
-            past = past_of(view.window) if older or nearer else None
-            if past is None or not (
-                is_ghost(past, x.number, older, p) or is_bounce(past, x.number, nearer, p)
-            ):
-                done.append(x.fitted)
+            if older and is_ghost(view.past, x.number, older, p):
+                continue
+            if nearer and is_bounce(view.past, x.number, nearer, p):
+                continue
+            done.append(x.fitted)
     done.sort(key=lambda crossing: (crossing.time_us, crossing.track))
     return replace(states, pending=tuple(kept)), tuple(done)
 
@@ -261,13 +264,10 @@ def _nearer(v: Vehicles, row: int, p: CountParameters) -> list[int]:
 def _fit(x: Pending, view: View) -> Crossing:
     """Return the crossing as the samples on both sides of the line have it."""
     p, line = view.parameters, view.lines[x.line]
-    first = bisect_left(view.window, x.time_us - p.fit_s * 1e6, key=_time_us)
-    samples = samples_of(past_of(view.window[first:]), x.pieces, x.time_us)
+    samples = samples_of(view.past, x.pieces, x.time_us)
     apart_s = np.abs(samples.time_s)
     near = apart_s <= p.fit_s
     if np.count_nonzero(near) < _FIT_LEAST:
-        samples = samples_of(past_of(view.window), x.pieces, x.time_us)
-        apart_s = np.abs(samples.time_s)
         near = apart_s <= max(p.fit_s, float(np.sort(apart_s)[:_FIT_LEAST][-1]))
     time_s, real = samples.time_s[near], samples.real[:, near]
     distance, _ = sides([line], real[X], real[Y])

@@ -116,6 +116,8 @@ def _map_in_force(
         return state, None, (), ()
     before = state.mapping
     mapping = lane_mapping.begin(before, moment, setup.given, setup.parameters, setup.digest)
+    if mapping is before:
+        return state, None, (), ()
     state = replace(state, mapping=mapping)
     if mapping.map is before.map:
         return state, None, (), ()

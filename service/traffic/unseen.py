@@ -29,7 +29,7 @@ from service.traffic.lane_places import Way, stands, ways
 from service.traffic.measured import EXISTENCE, LENGTH, VX, VY, X, Y
 from service.traffic.records import MINUTE_US, Crossing, MinuteBlock
 from service.traffic.stitching import Vehicles
-from service.traffic.window import past_of, samples_of
+from service.traffic.window import samples_of
 
 _RECENT_US, _RECENT = 20_000_000, 3  # crossings that tell how fast the traffic is at a line
 _SLOW_MPS = 1.0
@@ -78,7 +78,9 @@ def unseen(
     if state.told and state.told[0].crossing.time_us < late_us:
         state = replace(state, told=tuple(x for x in state.told if x.crossing.time_us >= late_us))
     fresh = (*_first_seen(state, known), *_last_seen(state, before, stood, known))
-    state = replace(state, waiting=(*state.waiting, *fresh), gone=watch_lost(state.gone, known))
+    gone = watch_lost(state.gone, known)
+    if fresh or gone is not state.gone:
+        state = replace(state, waiting=(*state.waiting, *fresh), gone=gone)
     if state.gone and known.found:
         state = _passed(state, known)
     return _settled(state, known) if state.waiting else (state, ())
@@ -179,7 +181,7 @@ def _first_seen(state: UnseenState, known: Known) -> list[Waiting]:
     rows = np.flatnonzero(due).tolist()
     if not rows:
         return found
-    past = past_of(view.window)
+    past = view.past
     for row in rows:
         number = int(v.number[row])
         samples = samples_of(past, (number,), view.time_us)
