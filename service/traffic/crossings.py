@@ -74,6 +74,10 @@ class View:
         """Return the time of the newest scan."""
         return self.window[-1].time_us
 
+    def line(self, line_id: str) -> int:
+        """Return the place of a line among the lines, -1 where there is none of that name."""
+        return next((k for k, line in enumerate(self.lines) if line.line_id == line_id), -1)
+
     @cached_property
     def past(self) -> Past:
         """The samples of the window, as a table."""

@@ -7,11 +7,11 @@ that follows would stay on the way that the vehicle has gone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from service.tracking.model import F64
+from service.tracking.model import F64, I64
 from service.traffic.count_parameters import CountParameters
 from service.traffic.measured import VX, VY, X, Y
 from service.traffic.window import Past
@@ -22,18 +22,7 @@ _LEAST = 10  # samples: half a second
 
 def is_ghost(past: Past, number: int, older: Sequence[int], p: CountParameters) -> bool:
     """Return whether one of the older tracks was beside this one for most of its life in the window."""
-    if not older:
-        return False
-    mine = np.flatnonzero(past.number == number)
-    at = np.full(len(past.time_us), -1, dtype=np.int64)  # place of this track's sample, by scan
-    at[past.scan[mine]] = mine
-    for other in older:
-        theirs = np.flatnonzero(past.number == other)
-        i = at[past.scan[theirs]]
-        both = i >= 0
-        i, j = i[both], theirs[both]
-        if len(i) < max(p.ghost_share * len(mine), 1):
-            continue
+    for i, j, _ in _together(past, number, older, p.ghost_share, 1):
         along, across = _offsets(past.real.take(i, axis=1), past.real.take(j, axis=1))
         if along < p.ghost_along_m and across < p.ghost_across_m:
             return True
@@ -42,16 +31,7 @@ def is_ghost(past: Past, number: int, older: Sequence[int], p: CountParameters) 
 
 def is_bounce(past: Past, number: int, nearer: Sequence[int], p: CountParameters) -> bool:
     """Return whether a track keeps on the bearing of a nearer one and leaves the way that it went."""
-    mine = np.flatnonzero(past.number == number)
-    at = np.full(len(past.time_us), -1, dtype=np.int64)  # place of this track's sample, by scan
-    at[past.scan[mine]] = mine
-    for other in nearer:
-        theirs = np.flatnonzero(past.number == other)
-        i = at[past.scan[theirs]]
-        both = i >= 0
-        i, j = i[both], theirs[both]
-        if len(i) < max(p.ghost_share * len(mine), _LEAST):
-            continue
+    for i, j, theirs in _together(past, number, nearer, p.ghost_share, _LEAST):
         x, y, other_x, other_y = *past.real[[X, Y]][:, i], *past.real[[X, Y]][:, j]
         range_m, other_range_m = np.hypot(x, y), np.hypot(other_x, other_y)
         behind_m = range_m - other_range_m
@@ -75,6 +55,24 @@ def is_bounce(past: Past, number: int, nearer: Sequence[int], p: CountParameters
         ):
             return True
     return False
+
+
+def _together(
+    past: Past, number: int, others: Sequence[int], share: float, least: int
+) -> Iterator[tuple[I64, I64, I64]]:
+    """Yield the samples of a track and of another in the same scans, and all of the other's, for each other.
+
+    Left out are those that were seen with it for less than a share of its samples, or for fewer than `least`.
+    """
+    mine = np.flatnonzero(past.number == number)
+    at = np.full(len(past.time_us), -1, dtype=np.int64)  # place of this track's sample, by scan
+    at[past.scan[mine]] = mine
+    for other in others:
+        theirs = np.flatnonzero(past.number == other)
+        i = at[past.scan[theirs]]
+        both = i >= 0
+        if np.count_nonzero(both) >= max(share * len(mine), least):
+            yield i[both], theirs[both], theirs
 
 
 def _aside(mine: F64, other: F64) -> F64:

@@ -58,7 +58,8 @@ def _lost(gone: tuple[Gone, ...], row: int, known: Known) -> tuple[Gone, ...]:
     """
     p, v, view = known.view.parameters, known.joined.vehicles, known.view
     track, vehicle = int(v.number[row]), int(v.vehicle[row])
-    before = {x.line_id: x for x in gone if x.track == track or x.vehicle == vehicle}
+    mine = [x.track == track or x.vehicle == vehicle for x in gone]
+    before = {x.line_id: x for x, same in zip(gone, mine, strict=True) if same}
     found: list[Gone] = []
     for line, way in ways(v.real[:, row], view.lines, known.ruler):
         if way.ahead_m <= 0.0 or known.states.counted[row, line]:
@@ -78,7 +79,7 @@ def _lost(gone: tuple[Gone, ...], row: int, known: Known) -> tuple[Gone, ...]:
                 _seen_with(row, known), names, behind_m,
             )
         )  # fmt: skip
-    return (*(x for x in gone if x.line_id not in before or x is not before[x.line_id]), *found)
+    return (*(x for x, same in zip(gone, mine, strict=True) if not same), *found)
 
 
 def _seen_with(row: int, known: Known) -> I64:
@@ -101,7 +102,7 @@ def passed_before(
     behind = [k for k, place_m in places_m.items() if place_m > 0.0]
     if not behind:
         return gone, []
-    line = next(k for k, line in enumerate(known.view.lines) if line.line_id == follower.line_id)
+    line = known.view.line(follower.line_id)
     found, decided = list[tuple[Gone, float]](), set[int]()
     for k in behind:
         x = gone[k]

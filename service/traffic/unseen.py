@@ -88,6 +88,7 @@ def unseen(
 
 def _passed(state: UnseenState, known: Known) -> UnseenState:
     """Return what waits with those who crossed ahead of the vehicles that did."""
+    view = known.view
     for follower in known.found:
         inferred = [x.crossing for x in state.waiting]
         gone, passed = passed_before(state.gone, follower, known, inferred)
@@ -95,10 +96,9 @@ def _passed(state: UnseenState, known: Known) -> UnseenState:
             continue
         fresh = []
         for x, time_us in passed:
-            line = next(k for k, line in enumerate(known.view.lines) if line.line_id == x.line_id)
             crossing = _crossing(
-                known.view, line, x.way, time_us, x.track, known.view.window[0].frame, follower.speed_mps,
-                math.nan, known.view.parameters.unseen_passed_share, x.vehicle,
+                view, view.line(x.line_id), x.way, time_us, x.track, view.window[0].frame,
+                follower.speed_mps, math.nan, view.parameters.unseen_passed_share, x.vehicle,
             )  # fmt: skip
             lost = Lost(x.last_us, x.way.ahead_m, 0.0, 0.0)
             fresh.append(Waiting(crossing, lost, in_order=True))
@@ -152,7 +152,7 @@ def _held_up(x: Waiting, known: Known) -> bool:
     lost, view, vehicles = x.lost, known.view, known.joined.vehicles
     if lost is None:
         return False
-    line = next((k for k, line in enumerate(view.lines) if line.line_id == x.crossing.line_id), -1)
+    line = view.line(x.crossing.line_id)
     real = vehicles.real
     slow = np.hypot(real[VX], real[VY]) < view.parameters.unseen_least_mps
     away_m = np.hypot(real[X] - x.crossing.x_m, real[Y] - x.crossing.y_m)
