@@ -12,6 +12,7 @@ from service.tracking.boxes import (
     BCOS,
     BGROW_FAR,
     BGROW_NEAR,
+    BHIDDEN,
     BLEN,
     BOX_COLUMNS,
     BPRIOR,
@@ -60,18 +61,19 @@ class Assignment:
     approximated: int
 
 
-def box_array(tracks: Tracks, mean: F64, cov: F64, p: TrackerParameters) -> F64:
-    """Return the predicted boxes (T, BOX_COLUMNS)."""
+def box_array(tracks: Tracks, mean: F64, cov: F64, hidden: Bool, p: TrackerParameters) -> F64:
+    """Return the predicted boxes (T, BOX_COLUMNS); hidden (T,): a nearer vehicle may shadow them."""
     return _box_array(
-        mean, cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.hits, tracks.confirmed,
-        p.boxes.growth_reach_m, p.boxes.young_hits, p.boxes.tentative_handicap, p.boxes.doppler_margin_mps**2,
+        mean, cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.hits, tracks.confirmed, hidden,
+        tracks.born_x_m, tracks.born_y_m, p.boxes.hidden_travel_m, p.boxes.growth_reach_m,
+        p.boxes.young_hits, p.boxes.tentative_handicap, p.boxes.doppler_margin_mps**2,
     )  # fmt: skip
 
 
 @kernel
 def _box_array(
-    mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool,
-    growth_reach: float,
+    mean: F64, cov: F64, heading: F64, length: F64, width: F64, hits: I64, confirmed: Bool, hidden: Bool,
+    born_x: F64, born_y: F64, hidden_travel: float, growth_reach: float,
     young_hits: int, handicap: float, doppler_margin: float,
 ) -> F64:  # fmt: skip
     n = len(heading)
@@ -93,6 +95,8 @@ def _box_array(
             reach = min(growth_reach, 0.5 * speed)
             out[i, BGROW_FAR] = reach
             out[i, BGROW_NEAR] = reach * (0.5 if hits[i] < young_hits else 0.2)
+        if hidden[i] and math.hypot(x - born_x[i], y - born_y[i]) >= hidden_travel:
+            out[i, BHIDDEN] = 1.0
         out[i, BPRIOR] = 2.0 * math.log(max(length[i], 4.0) * width[i]) + (0.0 if confirmed[i] else handicap)
     return out
 

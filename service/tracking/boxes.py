@@ -21,7 +21,8 @@ POINT_COLUMNS = 8
 BX, BY, BVX, BVY, BSIN, BCOS, BLEN, BWID, BVAR_U, BVAR_W, BVAR_V, BGROW_NEAR, BGROW_FAR, BPRIOR, BSPEED = (
     range(15)
 )
-BOX_COLUMNS = 15
+BHIDDEN = 15  # 1: a nearer vehicle may hide its near face
+BOX_COLUMNS = 16
 # columns of a measurement of one box by one set of points
 M_U, M_W, M_VAR_U, M_VAR_W, M_V, M_VAR_V, M_COUNT, M_U_MIN, M_U_MAX, M_ECHO, M_EDGE, M_WEIGHT = range(12)
 M_TURN, M_VAR_TURN, M_U_MEAN, M_W_MEAN = range(12, 16)  # angle from the heading to the row of points
@@ -41,6 +42,9 @@ ROW_SPREAD_M2 = 0.2  # variance of a vehicle's echoes about the line along its s
 ROW_CORNER = (
     0.45  # two faces seen at once pull that line towards the diagonal, by this share of width / length
 )
+# of a vehicle in a shadow so few points, which would put it so far back, are not of its near face: they lie
+# anywhere in it, with this share of its length as deviation
+HIDDEN_POINTS, HIDDEN_BACK_M, HIDDEN_SHARE = 2, 0.8, 0.25
 ALONE_M = 1.5  # gap along the box that sets a single point apart ...
 ALONE_BEYOND_M = 1.0  # ... if it lies this far beyond the end
 EDGE_POINTS_M = 1.5  # points this near the nearest range ever seen ...
@@ -358,6 +362,10 @@ def measure_boxes(
                     # which of a motorcycle's echoes answer is chance: the nearest of all is so much nearer
                     near += s * (b[BLEN] - NARROW_MARGIN_M) * (NARROW_ECHOES - count) / (NARROW_ECHOES + 1)
                 out[q, M_U] = near + s * (0.05 - half)
+                far_end = count <= HIDDEN_POINTS and s * out[q, M_U] < -HIDDEN_BACK_M
+                if b[BHIDDEN] > 0.0 and far_end and n_v > 0:  # else only the places tell that it brakes
+                    out[q, M_U] = s * min(s * near + half, 0.0)  # none as long as the box holds them
+                    std += HIDDEN_SHARE * b[BLEN]
             out[q, M_VAR_U] = std * std
         else:
             if u_max - u_min > 0.75 * b[BLEN]:

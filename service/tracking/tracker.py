@@ -263,11 +263,12 @@ def _track(
     dt_s = _dt_s(state, time_us)
     prediction = bank.predict(_filter_state(state.tracks), dt_s)
     tracks, mean = extent.turn_on(state.tracks, prediction.mean, dt_s, p.extent)
-    prediction = replace(prediction, mean=mean, noise=_widened(prediction.noise, tracks, p))
+    hidden = existence.shadowed(tracks)
+    prediction = replace(prediction, mean=mean, noise=_widened(prediction.noise, tracks, hidden, p))
     cov = prediction.cov
     expected = bank.expected(prediction)
     watch("filter")
-    boxes = box_array(tracks, prediction.mean, cov, p)
+    boxes = box_array(tracks, prediction.mean, cov, hidden, p)
     detect = existence.detection_probability(tracks, p.existence)
     a = assign(
         tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
@@ -290,7 +291,7 @@ def _track(
     return tracks, a, trails
 
 
-def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
+def _widened(noise: F64, tracks: Tracks, hidden: Bool, p: TrackerParameters) -> F64:
     """Return the process noise, larger where a gate has stayed empty for longer than misses explain.
 
     The variances of position and velocity grow with every empty frame, so that a braking vehicle is met
@@ -301,7 +302,7 @@ def _widened(noise: F64, tracks: Tracks, p: TrackerParameters) -> F64:
     _widen(
         out, tracks.mean, tracks.empty, tracks.detect_rate, p.boxes.widen_after,
         p.boxes.widen_position_m2, p.boxes.widen_velocity_m2ps2, p.boxes.widen_shadowed_m2ps2,
-        existence.shadowed(tracks),
+        hidden,
     )  # fmt: skip
     return out
 

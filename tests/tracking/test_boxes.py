@@ -211,6 +211,38 @@ def test_the_nearest_echo_of_a_motorcycle_may_be_any_of_its_three(along_m, centr
     assert measured[0, b.M_U] == pytest.approx(centre_m, abs=0.11)
 
 
+def test_without_a_range_rate_the_place_of_a_hidden_point_tells_that_its_vehicle_brakes():
+    box, point = receding_car(1.8)
+    box[0, b.BHIDDEN], point[:, b.PV] = 1.0, np.nan
+
+    measured = b.measure_boxes(np.array([0]), np.array([0]), np.zeros(1, np.int64), point, box, 20.0)
+
+    assert measured[0, b.M_U] == pytest.approx(1.8 - 0.05 + 2.2, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("along_m", "hidden", "centre_m"),
+    [
+        ((1.8,), False, 1.8 - 0.05 + 2.2),  # in plain sight the nearest point is of the near face
+        ((1.8,), True, 0.0),  # in a shadow it may be of the roof, as long as the box holds it
+        ((0.5, 1.8), True, 0.0),
+        ((3.0,), True, 3.0 - 2.2),  # ... and the box goes back no further than to hold it
+        ((-3.0,), True, -3.0 - 0.05 + 2.2),  # what is nearer than the near face is the near face
+        ((0.4, 1.0, 1.8), True, 0.4 - 0.05 + 2.2),  # so many points are seen of what is in sight
+    ],
+)
+def test_a_point_of_a_vehicle_in_a_shadow_may_be_of_its_far_end(along_m, hidden, centre_m):
+    box, point = receding_car(*along_m)
+    box[0, b.BHIDDEN] = float(hidden)
+
+    measured = b.measure_boxes(
+        np.array([0]), np.array([0]), np.zeros(len(point), dtype=np.int64), point, box, 20.0
+    )
+
+    assert measured[0, b.M_U] == pytest.approx(centre_m, abs=1e-9)
+    assert (measured[0, b.M_VAR_U] > 1.0) == (hidden and along_m[0] > 0.0 and len(along_m) < 3)
+
+
 def measured_turn(x, y, aspect_rad, turned_rad, points):
     """Return the angle and variance that points (u, w) of a car tell, whose box lies turned_rad from it."""
     box, point = np.zeros((1, b.BOX_COLUMNS)), np.zeros((len(points), b.POINT_COLUMNS))

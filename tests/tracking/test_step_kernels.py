@@ -9,7 +9,8 @@ import pytest
 
 from service.tracking import clutter as clutter_map
 from service.tracking import existence, lifecycle, points, starting, tracker
-from service.tracking.boxes import PECHO, PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
+from service.tracking.assigning import box_array
+from service.tracking.boxes import BHIDDEN, PECHO, PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.clutter import ClutterParameters
 from service.tracking.geometry import plan_points
 from service.tracking.model import Frame, TrackStatus
@@ -106,7 +107,7 @@ def test_only_the_noise_of_moving_tracks_that_stay_empty_grows(rng):
     place, none = np.full(len(t), p.boxes.widen_position_m2), np.zeros(len(t))
     grown = np.column_stack([place, speed, none, place, speed, none])[:, :, None] * np.eye(6)
 
-    noise = tracker._widened(np.eye(6), t, p)
+    noise = tracker._widened(np.eye(6), t, hidden, p)
 
     np.testing.assert_allclose(noise, np.eye(6) + late[:, None, None] * grown)
     assert 0 < (late & hidden).sum() < late.sum() < len(t)
@@ -191,3 +192,16 @@ def test_columns_of_tracks_are_exchanged_taken_and_joined(rng):
     assert other.mean is t.mean
     np.testing.assert_array_equal(some.number, t.number[t.hits > 30])
     np.testing.assert_array_equal(some.join(t).number, np.concatenate([some.number, t.number]))
+
+
+@pytest.mark.parametrize(("come_m", "hidden"), [(14.9, 0.0), (15.1, 1.0)])
+def test_a_box_in_a_shadow_that_has_hardly_moved_may_stand_on_posts(rng, come_m, hidden):
+    track = some_tracks(rng).take(np.array([0]))
+    track = track.but(born_x_m=track.x_m, born_y_m=track.y_m - come_m)
+
+    made = [
+        box_array(track, track.mean, track.cov, np.array([there]), TrackerParameters())
+        for there in (True, False)
+    ]
+
+    assert [row[0, BHIDDEN] for row in made] == [hidden, 0.0]
