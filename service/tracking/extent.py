@@ -58,10 +58,10 @@ class ExtentParameters:
     # frames on end
     sideways_free_mps: float = 1.2
     sideways_free_share: float = 0.15
-    # wheels roll: a vehicle goes sideways in proportion to its speed ahead, so that below this speed the
-    # first of both shrinks with it ...
-    sideways_full_mps: float = 1.0
+    # wheels roll: a vehicle goes sideways in proportion to its speed ahead
+    sideways_full_mps: float = 1.0  # below this speed the first of both shrinks with it ...
     sideways_least: float = 0.1  # ... down to this share
+    bind_std_rad: float = 0.3  # a heading known no better binds nothing: each would make the other certain
     # a box that is carried sideways frame after frame is turning, whatever its velocity says
     drift_gain: float = 0.15  # weight of the newest sideways residual in its running mean
     scatter_gain: float = 0.05  # the same, of how far its points scatter across
@@ -138,7 +138,7 @@ def learn(
     _along_only(
         mean, cov, heading, heading_var, goes, loose,
         (p.sideways_std_mps, p.sideways_share, p.sideways_free_mps, p.sideways_free_share,
-         p.sideways_full_mps, p.sideways_least),
+         p.sideways_full_mps, p.sideways_least, p.bind_std_rad**2),
     )  # fmt: skip
     _stand_still(
         mean, cov, heading, hit & (np.abs(tracks.ahead_m) <= p.ahead_free_m),
@@ -341,18 +341,20 @@ def _along_only(
 ) -> None:
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
-    The less the heading is known, the less it binds: its error turns speed into sideways speed.
+    The less the heading is known, the less it binds: its error turns speed into sideways speed. One that is
+    hardly known binds not at all: what it made of the velocity would come back as its own certainty.
     """
-    std_mps, share, free_mps, free_share, full, least = q
+    std_mps, share, free_mps, free_share, full, least, bind = q
     gain, joseph = np.empty(6), np.empty((6, 6))
     for t in range(len(mean)):
+        if heading_var[t] > bind and not goes[t]:
+            continue
         a, b = math.cos(heading[t]), -math.sin(heading[t])  # H = [0 a 0 0 b 0]
         ahead = abs(a * mean[t, 4] - b * mean[t, 1])
         along = mean[t, 1] * mean[t, 1] + mean[t, 4] * mean[t, 4]
         part = min(max(ahead / full, least, 1.0 - 1.0 / loose[t]), 1.0)  # a turning box does not stand
-        std = part * (std_mps if goes[t] else free_mps) + (share if goes[t] else free_share) * math.sqrt(
-            along
-        )
+        base, rest = (std_mps, share) if goes[t] else (free_mps, free_share)
+        std = part * base + rest * math.sqrt(along)
         along += cov[t, 1, 1] + cov[t, 4, 4]
         r = std * std * loose[t] + along * heading_var[t]
         _condition(mean[t], cov[t], a, b, r, gain, joseph)

@@ -134,6 +134,16 @@ def test_sideways_motion_is_bound_most_where_all_drive_one_way():
     assert abs(one_way.mean[0, 1]) + 0.1 < abs(free.mean[0, 1]) < 1.0
 
 
+@pytest.mark.parametrize(("heading_std_rad", "binds"), [(0.28, True), (0.32, False)])
+def test_a_heading_that_is_hardly_known_binds_no_velocity(heading_std_rad, binds):
+    # so fast, and no surer of it: the velocity says nothing of the heading
+    track = one_track(vx=5.0, vy=2.0, speed_var=9.0, heading_std_rad=heading_std_rad)
+
+    after = learn(track, hit=False)
+
+    assert (abs(after.mean[0, 1]) < 4.9) == binds
+
+
 def test_what_hardly_moves_ahead_does_not_move_sideways():
     # the points of a standing vehicle, told by noise of azimuth, would else walk its box across the lane
     def left(vy):
