@@ -86,7 +86,7 @@ class Surroundings:
 
     driven: Bool  # (T,) vehicles have driven here, or nobody knows yet
     off_road: Bool  # (T,) the road is known and this is not it
-    known_road: Bool  # (T,) vehicles are known to have driven here
+    known_road: Bool  # (T,) vehicles are known to have driven here, or one to have gone here
     behind_rail: Bool  # (T,) a stronger vehicle like it drives on this side of a row of standing echoes
 
 

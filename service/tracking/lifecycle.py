@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, road_map
+from service.tracking import existence, resting, road_map
 from service.tracking.assigning import Assignment
 from service.tracking.existence import Surroundings
 from service.tracking.kernel import kernel
@@ -71,12 +71,23 @@ def let_go(tracks: Tracks, time_us: int, p: TrackerParameters) -> tuple[Tracks, 
 def _surroundings(state: TrackerState, t: Tracks, p: TrackerParameters) -> Surroundings:
     count, _, _ = road_map.driven_at(state.road, t.x_m, t.y_m, p.road)
     known = count >= p.road.driven_tracks
+    vouched = _vouched(state, t, known, p)
     mature = state.road.teachers >= p.road.mature_tracks
     if not mature:
         nowhere = np.zeros(len(t), dtype=np.bool_)
-        return Surroundings(~nowhere, nowhere, known, _behind_rail(state, t, p))
+        return Surroundings(~nowhere, nowhere, vouched, _behind_rail(state, t, p))
     off_road = ~known & (np.hypot(t.x_m, t.y_m) < p.boxes.off_road_range_m)
-    return Surroundings(known, off_road, known, _behind_rail(state, t, p))
+    return Surroundings(known, off_road, vouched, _behind_rail(state, t, p))
+
+
+def _vouched(state: TrackerState, t: Tracks, known: Bool, p: TrackerParameters) -> Bool:
+    """Return which tracks (T,) are where vehicles are known to drive, or to have gone."""
+    asked = np.flatnonzero(~known & ~t.confirmed)
+    if not len(asked) or not len(state.resting.number):
+        return known
+    out = known.copy()
+    out[asked] = resting.awaited(state.resting, t.x_m[asked], t.y_m[asked], p.resting)
+    return out
 
 
 def _behind_rail(state: TrackerState, t: Tracks, p: TrackerParameters) -> Bool:

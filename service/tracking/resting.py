@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.model import F64, I64, TrackStatus
+from service.tracking.model import F64, I64, Bool, TrackStatus
 from service.tracking.state import Place, Resting, Tracks
 
 _TENTATIVE = int(TrackStatus.TENTATIVE)
@@ -43,6 +43,9 @@ class RestingParameters:
     led_m: float = 12.0  # from where those of its lane say that it went
     alone_m: float = 6.0  # the same, of one without anybody in its lane, from where its speed says ...
     alone_mps: float = 2.0  # ... and the more the longer it rested
+    awaited_across_m: float = 1.5  # so near to its way, and no further on it, it may stand by now:
+    awaited_m: float = 4.0  # from behind where its track ended to as much ahead ...
+    awaited_s: float = 2.0  # ... and so many seconds of its speed
 
 
 def settle(  # noqa: PLR0913, PLR0917 - two moments, and who rested between them
@@ -80,6 +83,16 @@ def expire(resting: Resting, time_us: int, p: RestingParameters) -> Resting:
 
 def _confirmed_numbers(tracks: Tracks) -> I64:
     return np.asarray(tracks.number[tracks.status != _TENTATIVE])
+
+
+def awaited(resting: Resting, x_m: F64, y_m: F64, p: RestingParameters) -> Bool:
+    """Return at which places (N,) a resting vehicle may stand by now: what stands there is no post."""
+    s, c = np.sin(resting.heading_rad)[:, None], np.cos(resting.heading_rad)[:, None]
+    dx, dy = x_m - resting.x_m[:, None], y_m - resting.y_m[:, None]
+    along, across = s * dx + c * dy, c * dx - s * dy
+    most = p.awaited_m + p.awaited_s * resting.speed_mps[:, None]
+    here = (np.abs(across) <= p.awaited_across_m) & (along >= -p.awaited_m) & (along <= most)
+    return np.asarray(here.any(axis=0))
 
 
 # ---------------------------------------------------------------- numbers that come to rest

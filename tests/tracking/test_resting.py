@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.tracking import snapshot
+from service.tracking import lifecycle, snapshot
 from service.tracking.model import TrackStatus
 from service.tracking.parameters import TrackerParameters
-from service.tracking.resting import RestingParameters, expire, settle
+from service.tracking.resting import RestingParameters, awaited, expire, settle
 from service.tracking.state import Resting, Tracks, no_tracks, none_resting
 from service.tracking.tracker import TrackerState, coast, initial_state
 from tests.tracking.test_tracker import PERIOD_US, T0_US, frame, numbers, run, vehicle
@@ -380,6 +380,39 @@ def test_without_a_rest_no_number_rests():
 
 SEEN, HIDDEN = 60, 120  # frames: three seconds in view, six out of it
 SPEED_MPS = 8.0
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "expected"),
+    [
+        (0.0, 50.0, True),  # where its track ended
+        (0.0, 46.5, True),
+        (0.0, 45.5, False),  # it has not gone back
+        (0.0, 57.9, True),  # two seconds on at 2 m/s, and the error of both places
+        (0.0, 58.1, False),
+        (1.4, 54.0, True),
+        (1.6, 54.0, False),  # beside its lane
+    ],
+)
+def test_a_hidden_vehicle_is_awaited_where_it_may_stand(x_m, y_m, expected):
+    assert awaited(at_rest(), np.array([x_m]), np.array([y_m]), P).tolist() == [expected]
+
+
+def test_nobody_is_awaited_where_no_number_rests():
+    assert awaited(none_resting(), np.zeros(3), np.zeros(3), P).tolist() == [False] * 3
+
+
+def test_what_stands_where_a_hidden_vehicle_is_awaited_is_no_post():
+    p = TrackerParameters()
+    state = dataclasses.replace(initial_state(p), resting=at_rest())
+    seen = tracks(
+        (7, 52.0), (8, 90.0), (9, 52.0), status=[TrackStatus.TENTATIVE] * 2 + [TrackStatus.CONFIRMED]
+    )
+
+    around = lifecycle._surroundings(state, seen, p)
+
+    assert around.known_road.tolist() == [True, False, False]  # a confirmed track need not be vouched for
+    assert not around.off_road.any()
 
 
 def hidden_drive():
