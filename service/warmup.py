@@ -31,6 +31,10 @@ BODY_Y_M = np.array([-2.0, -2.0, -2.0, 1.0, 1.0])
 FIRST_X_M = np.array([0.0, 2.4, -3.0])  # the first two side by side, so that they share points
 FIRST_Y_M = np.array([90.0, 89.0, 60.0])
 POST_X_M, POST_Y_M = np.array([8.0, 8.0]), np.array([30.0, 55.0])
+ROW_X_M = np.concatenate(
+    [np.arange(-26.0, -21.5, 0.5), np.arange(-19.5, -15.0, 0.5)]
+)  # two cars from the side
+ROW_Y_M = np.full(len(ROW_X_M), 70.0)
 
 
 def _association() -> None:
@@ -70,10 +74,10 @@ def _whole_step() -> None:
 
 
 def _frame(number: int) -> Frame:
-    """Return three vehicles that approach, and two posts."""
+    """Return three vehicles that approach, two that stand in a row across, and two posts."""
     y_m = FIRST_Y_M - SPEED_MPS * number * FRAME_US / 1e6
-    x = np.concatenate([(FIRST_X_M[:, None] + BODY_X_M).ravel(), POST_X_M])
-    y = np.concatenate([(y_m[:, None] + BODY_Y_M).ravel(), POST_Y_M])
+    x = np.concatenate([(FIRST_X_M[:, None] + BODY_X_M).ravel(), POST_X_M, ROW_X_M])
+    y = np.concatenate([(y_m[:, None] + BODY_Y_M).ravel(), POST_Y_M, ROW_Y_M])
     speed = np.where(np.arange(len(x)) < len(FIRST_X_M) * len(BODY_X_M), SPEED_MPS, 0.0)
     return _polar(x, y, speed, number)
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
+from service.tracking.row_kernels import best_box, chains
+from service.tracking.standing_rows import RowParameters, Stood, direction_across, stand, thin
 
 VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
 ROW = 14  # columns of a row of Births
@@ -31,6 +33,7 @@ class BirthParameters:
     length_m: float = 4.4  # a car until more is known
     width_m: float = 1.9
     road_heading_std_rad: float = 0.15  # of a vehicle about the direction in which others have driven there
+    row_heading_std_rad: float = 0.3  # of a vehicle about the row that it stands in, either way round
     guess_heading_std_rad: float = 0.8  # of one whose direction is a guess
     slant_std_rad: float = 0.2  # of an unknown road to the line of sight
     crossing_std_mps: float = 8.0  # across the line of sight, of a vehicle that does not move along it ...
@@ -42,8 +45,8 @@ class BirthParameters:
     standing_spread_m: float = 1.5
     driven_points_per_frame: float = 0.8  # where vehicles have driven less will do
     standing_cluster_points: int = 6
+    rows: RowParameters = field(default_factory=RowParameters)
     standing_along_m: float = 1.3  # gap that a standing vehicle's side may show
-    standing_across_m: float = 1.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,41 +191,6 @@ def rows(born: Births) -> list[F64]:
     return list(table)
 
 
-@kernel
-def _best_box(
-    x: F64, y: F64, headings: F64, length_m: float, width_m: float
-) -> tuple[int, float, float, int]:
-    """Return the heading's index and the corner (u, w) of the box that holds most places, and how many.
-
-    For each heading and each place as the box's low end, the places of that length are swept in order of w
-    with a window of the width. The first of equals wins.
-    """
-    n = len(x)
-    best = (0, 0.0, 0.0, 0)
-    inside, u, w = np.empty(n), np.empty(n), np.empty(n)
-    for h in range(len(headings)):
-        s, c = math.sin(headings[h]), math.cos(headings[h])
-        for k in range(n):  # by insertion: a sort of numpy compiles for seconds
-            along, across, at = s * x[k] + c * y[k], c * x[k] - s * y[k], k
-            while at > 0 and w[at - 1] > across:
-                u[at], w[at] = u[at - 1], w[at - 1]
-                at -= 1
-            u[at], w[at] = along, across
-        for a in range(n):
-            begin, count = s * x[a] + c * y[a], 0
-            for k in range(n):
-                if begin <= u[k] <= begin + length_m:
-                    inside[count] = w[k]
-                    count += 1
-            high = 0
-            for low in range(count):
-                while high < count and inside[high] <= inside[low] + width_m:
-                    high += 1
-                if high - low > best[3]:
-                    best = (h, begin, inside[low], high - low)
-    return best
-
-
 def standing_births(
     points: F64, frames: int, driven: Bool, road_heading_rad: F64, p: BirthParameters
 ) -> list[F64]:
@@ -236,16 +204,14 @@ def standing_births(
     rows: list[F64] = []
     if len(points) < p.standing_cluster_points:
         return rows
-    # one scatterer repeats in every frame: thin to cells and remember how many points each stands for
-    column, row = np.round(points[:, [PX, PY]] / 0.3).astype(np.int64).T
-    cell = column * (1 + np.ptp(row)) + row - row.min()
-    _, first, back, times = np.unique(cell, return_index=True, return_inverse=True, return_counts=True)
-    x = np.bincount(back, points[:, PX]) / times
-    y = np.bincount(back, points[:, PY]) / times
+    x, y, times, first = thin(points)
     on_road, along = driven[first], road_heading_rad[first]
-    group = _groups(x, y, p.standing_along_m)
+    group = chains(x, y, p.standing_along_m)
     left = np.bincount(group, times)[group] >= p.standing_cluster_points
-    for _ in range(MAX_STANDING_BOXES):
+    side_on, inside = _side_on(x, y, times, frames, on_road, along, p)
+    rows += side_on
+    left &= ~inside
+    for _ in range(MAX_STANDING_BOXES - len(side_on)):
         if left.sum() < 2:
             break
         seed = int(np.argmax(np.where(left, times, 0)))
@@ -260,36 +226,43 @@ def standing_births(
     return rows
 
 
-@kernel
-def _groups(x: F64, y: F64, reach_m: float) -> I64:
-    """Return the group of each place: those that chain with steps under `reach_m` are one."""
-    n = len(x)
-    group = np.full(n, -1, dtype=np.int64)
-    todo = np.empty(n, dtype=np.int64)
-    for seed in range(n):
-        if group[seed] >= 0:
+def _side_on(
+    x: F64, y: F64, times: F64, frames: int, on_road: Bool, road_heading_rad: F64, p: BirthParameters
+) -> tuple[list[F64], Bool]:
+    """Return rows of Births' floats for vehicles in rows seen from the side, and their places (N,)."""
+    rows: list[F64] = []
+    inside = np.zeros(len(x), np.bool_)
+    block = chains(x, y, p.rows.reach_m)
+    for b in np.unique(block):
+        mine = np.flatnonzero(block == b)
+        u, v, n, known = x[mine], y[mine], times[mine], on_road[mine]
+        driven = bool(known.mean() > 0.5)
+        least = p.driven_points_per_frame if driven else p.standing_points_per_frame
+        if n.sum() < least * frames:
             continue
-        group[seed] = seed
-        todo[0], open_ = seed, 1
-        while open_ > 0:
-            open_ -= 1
-            k = todo[open_]
-            for m in range(n):
-                if (
-                    group[m] < 0
-                    and abs(x[m] - x[k]) < reach_m
-                    and math.hypot(x[m] - x[k], y[m] - y[k]) < reach_m
-                ):
-                    group[m] = seed
-                    todo[open_] = m
-                    open_ += 1
-    return group
+        heading = direction_across(u, v, n, frames, known, road_heading_rad[mine], p.rows)
+        if heading is None:
+            continue
+        found, of_vehicle = stand(u, v, n, frames, heading, p.length_m, p.rows)
+        inside[mine[of_vehicle]] = True
+        rows += [standing_row(f, driven, p) for f in found if f.rate >= least]
+    rows.sort(key=lambda row: -row[9])  # the best seen
+    return rows[:MAX_STANDING_BOXES], inside
+
+
+def standing_row(f: Stood, driven: bool, p: BirthParameters) -> F64:
+    """Return the row of Births' floats of a vehicle that stands in a row."""
+    heading_std_rad = p.road_heading_std_rad if driven else p.row_heading_std_rad
+    return np.array([
+        f.x_m, f.y_m, f.heading_rad, 0.0, 0.0, 0.6, 0.6, 0.3, 0.5, f.rate, f.extent_m, f.length_m, 1.0,
+        heading_std_rad**2,
+    ])  # fmt: skip
 
 
 def _standing_box(
     x: F64,
     y: F64,
-    times: I64,
+    times: F64,
     near: Bool,
     frames: int,
     on_road: bool,
@@ -304,7 +277,7 @@ def _standing_box(
     elif len(index) >= 4:
         _, vectors = np.linalg.eigh(np.cov(np.stack([x[index], y[index]])))
         headings.append(math.atan2(vectors[0, 1], vectors[1, 1]))
-    h, u0, w0, _ = _best_box(x[index], y[index], np.array(headings), 5.0, 2.3)
+    h, u0, w0, _ = best_box(x[index], y[index], np.array(headings), 5.0, 2.3)
     s, c = math.sin(headings[h]), math.cos(headings[h])
     u, w = s * x + c * y, c * x - s * y
     side = near & (w >= w0) & (w <= w0 + 2.3)

@@ -24,6 +24,7 @@ from service.tracking.existence import ExistenceParameters
 from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
+from service.tracking.rearranging import RearrangingParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
@@ -110,6 +111,7 @@ class TrackerParameters:
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
     splitting: SplittingParameters = field(default_factory=SplittingParameters)
+    rearranging: RearrangingParameters = field(default_factory=RearrangingParameters)
     resting: RestingParameters = field(default_factory=RestingParameters)
     road: RoadMapParameters = field(default_factory=RoadMapParameters)
     # at 20 Hz a lost track lives for a quarter of a second: three scans, anywhere within near_m

@@ -95,7 +95,7 @@ def _covered(
 
 def _standing(state: TrackerState, p: TrackerParameters) -> list[F64]:
     w = state.standing_window
-    q = w.points
+    q = w.points[~w.owned]
     if len(state.tracks):
         t, (x, y) = state.tracks, q[:, [PX, PY]].T.copy()
         nothing = np.full(len(x), np.nan)
@@ -104,9 +104,13 @@ def _standing(state: TrackerState, p: TrackerParameters) -> list[F64]:
         )
         q = q[~inside]
     q = q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
-    n, heading, agreement = road_map.driven_at(state.road, q[:, PX], q[:, PY], p.road)
-    driven = (n >= p.road.driven_tracks) & (agreement > 0.8)
-    return birth.standing_births(q, max(len(state.frame_times_us), 1), driven, heading, p.birth)
+    return birth.standing_births(q, max(len(state.frame_times_us), 1), *driven_way(state, q, p), p.birth)
+
+
+def driven_way(state: TrackerState, points: F64, p: TrackerParameters) -> tuple[Bool, F64]:
+    """Return which points (N, POINT_COLUMNS) lie where vehicles have driven, and which way (N,) [rad]."""
+    n, heading, agreement = road_map.driven_at(state.road, points[:, PX], points[:, PY], p.road)
+    return (n >= p.road.driven_tracks) & (agreement > 0.8), heading
 
 
 def start(

@@ -25,9 +25,10 @@ from service.tracking.merging import merge
 from service.tracking.model import F32, F64, I64, U8, Bool, Frame, StepReport, TrackEstimates, TrackStatus
 from service.tracking.parameters import TrackerParameters
 from service.tracking.points import point_array
+from service.tracking.rearranging import rearrange
 from service.tracking.recovering import Seen, recover
 from service.tracking.recovery import TrailBook, no_book
-from service.tracking.starting import find_births, start
+from service.tracking.starting import driven_way, find_births, start
 from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks, none_resting
 from service.tracking.teaching import teach_road
 
@@ -114,15 +115,25 @@ def step(
     )
     if apart is not state.tracks:
         state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
+    dropped = state.tracks.number[:0]
+    if _may_rearrange(state, frame.time_us, p):
+        q, frames = _all_standing(state, p), max(len(state.frame_times_us), 1)
+        driven, along = driven_way(state, q, p)
+        moved, others = rearrange(state.tracks, q, frames, driven, along, p.birth, p.rearranging)
+        dropped = state.tracks.number[~np.isin(state.tracks.number, moved.number)]
+        if moved is not state.tracks or others:
+            state, born = replace(state, tracks=moved), birth.gather([*birth.rows(born), *others])
     tracks = start(state, bank, born, frame.time_us, p)
     view = (p.sensor.range_min_m, p.sensor.range_max_m, p.sensor.azimuth_max_rad)
+    if len(dropped):  # what stood beside a vehicle's own box is no vehicle that was lost
+        before = before.take(~np.isin(before.number, dropped))
     at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
     watch("clutter")
     state = TrackerState(
         tracks=tracks, window=window,
-        standing_window=_slide_standing(state, points, standing & ~owned & ~no_birth, frame.time_us, p),
+        standing_window=_slide_standing(state, points, standing & ~no_birth, owned, frame.time_us, p),
         frame_times_us=_recent_times(state, frame.time_us, p),
         clutter=clutter, road=state.road, filter=state.filter, next_number=state.next_number + len(born),
         frames=state.frames + 1, time_us=frame.time_us,
@@ -138,7 +149,7 @@ def step(
         components=assignment.components,
         approximated=assignment.approximated,
         born=len(born),
-        deleted=ended + merged,
+        deleted=ended + merged + len(dropped),
     )
     found = estimates(state.tracks)
     watch("memory")
@@ -329,17 +340,30 @@ def _recent_times(state: TrackerState, time_us: int, p: TrackerParameters) -> tu
     return (*(t for t in state.frame_times_us if t > oldest), time_us)
 
 
+def _may_rearrange(state: TrackerState, time_us: int, p: TrackerParameters) -> bool:
+    """Return whether boxes of standing rows are looked at now: now and then, when a second was seen."""
+    every, times = p.rearranging.interval_frames, state.frame_times_us
+    if every <= 0 or state.frames % every != every - 1 or len(times) < p.birth.standing_min_frames:
+        return False
+    return time_us - times[0] >= p.rearranging.window_share * p.birth.standing_window_s * 1e6
+
+
+def _all_standing(state: TrackerState, p: TrackerParameters) -> F64:
+    """Return the standing points of the last second that are not clutter, claimed or not."""
+    q = state.standing_window.points
+    return q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
+
+
 def _slide_standing(
-    state: TrackerState, points: F64, which: Bool, time_us: int, p: TrackerParameters
+    state: TrackerState, points: F64, which: Bool, owned: Bool, time_us: int, p: TrackerParameters
 ) -> Window:
     w = state.standing_window
     oldest_us = time_us - round(p.birth.standing_window_s * 1e6)
     first = int(w.time_us.searchsorted(oldest_us, side="right"))
     new = points[which]
-    flags = np.zeros(len(w.time_us) - first + len(new), dtype=np.bool_)
     return Window(
         np.concatenate((w.points[first:], new)),
         np.concatenate((w.time_us[first:], np.full(len(new), time_us))),
-        flags,
-        flags,
+        np.concatenate((w.owned[first:], owned[which])),
+        np.ones(len(w.time_us) - first + len(new), dtype=np.bool_),
     )

@@ -81,10 +81,12 @@ def test_the_future_does_not_change_the_past():
     assert whole[:80] == part
 
 
-# The best existing tracker's HOTA on the first 30 s, of Stone Soup, Norfair and SORT behind the same front
-# end.
-@pytest.mark.parametrize(("name", "best_peer"), [("dense", 0.872), ("two_way", 0.840), ("curve", 0.803)])
-def test_it_is_ahead_of_the_existing_trackers(name, best_peer):
+# HOTA on the first 30 s: 0.015 under what it is, and far over the best of Stone Soup, Norfair and SORT behind
+# the same front end (0.911, 0.872, 0.840, 0.803, 0.781, 0.702 and 0.547).
+@pytest.mark.parametrize(
+    ("name", "least"), list(zip(NAMES, (0.92, 0.92, 0.885, 0.89, 0.865, 0.805, 0.76), strict=True))
+)
+def test_it_is_ahead_of_the_existing_trackers(name, least):
     config, frames = recording(name, 30)
     scene = read_scene(SCENES / name).until(30.0)
 
@@ -99,4 +101,4 @@ def test_it_is_ahead_of_the_existing_trackers(name, best_peer):
             for e in estimates
         ]
     )
-    assert score(scene, found)["hota"] >= best_peer
+    assert score(scene, found)["hota"] >= least

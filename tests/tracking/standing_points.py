@@ -1,0 +1,42 @@
+"""Points of vehicles that stand, as a second of frames shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.tracking.boxes import PG, POINT_COLUMNS, PX, PY
+
+FRAMES = 20
+
+
+def points_of(*vehicles, noise_m=0.4, depth_m=0.15, rate=4.0, seed=3):
+    """Return the points of FRAMES frames of vehicles (x, y, length) that stand across the view.
+
+    Three quarters lie on the near side, the others up to 1.9 m behind it; noise_m: of azimuth, in metres.
+    """
+    rng, rows = np.random.default_rng(seed), []
+    for x, y, length in vehicles:
+        n = rng.poisson(rate * FRAMES * length / 4.4)
+        u = x + rng.uniform(-0.5 * length, 0.5 * length, n) + rng.normal(0.0, noise_m, n)
+        behind = np.where(rng.random(n) < 0.75, 0.0, rng.uniform(0.0, 1.9, n))
+        rows.append(np.column_stack([u, y - 0.95 + behind + rng.normal(0.0, depth_m, n)]))
+    places = np.concatenate(rows) if rows else np.zeros((0, 2))
+    points = np.zeros((len(places), POINT_COLUMNS))
+    points[:, [PX, PY]], points[:, PG] = places, np.hypot(*places.T)
+    return points
+
+
+def turned(points, angle_rad):
+    """Return the points with the whole scene turned clockwise about the radar."""
+    out, (x, y) = points.copy(), points[:, [PX, PY]].T
+    s, c = np.sin(angle_rad), np.cos(angle_rad)
+    out[:, PX], out[:, PY] = c * x + s * y, c * y - s * x
+    return out
+
+
+def end_on(points):
+    """Return the points with every vehicle turned a quarter of a circle: y and x - 80 m change places."""
+    out = points.copy()
+    out[:, PX], out[:, PY] = points[:, PY] - 80.0, 80.0 + points[:, PX]
+    out[:, PG] = np.hypot(out[:, PX], out[:, PY])
+    return out
