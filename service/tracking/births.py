@@ -14,7 +14,8 @@ from service.tracking.row_kernels import best_box, chains
 from service.tracking.standing_rows import RowParameters, Stood, direction_across, stand, thin
 
 VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
-ROW = 14  # columns of a row of Births
+ROW = 14  # columns of a row of Births ...
+ROW_POINTS = 9  # ... the one of the points in this frame, or a frame
 MAX_STANDING_BOXES = 12  # a bound on the work of one frame, in counts
 
 
@@ -246,7 +247,7 @@ def _side_on(
         found, of_vehicle = stand(u, v, n, frames, heading, p.length_m, p.rows)
         inside[mine[of_vehicle]] = True
         rows += [standing_row(f, driven, p) for f in found if f.rate >= least]
-    rows.sort(key=lambda row: -row[9])  # the best seen
+    rows.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return rows[:MAX_STANDING_BOXES], inside
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from service.tracking.births import MAX_STANDING_BOXES, BirthParameters, standing_row
+from service.tracking.births import MAX_STANDING_BOXES, ROW_POINTS, BirthParameters, standing_row
 from service.tracking.model import F64, I64, Bool
 from service.tracking.row_kernels import chains
 from service.tracking.standing_rows import Stood, direction_across, stand, thin
@@ -130,7 +130,7 @@ def rearrange(  # noqa: PLR0913, PLR0917 - tracks, points, and what is known of 
         found = [f for f in stood if f.rate >= p.rate]
         if len(found) > 1:
             _settle(boxes, which, found, birth, p, driven=bool(2 * on_road[mine].sum() > len(u)))
-    boxes.born.sort(key=lambda row: -row[9])  # the best seen
+    boxes.born.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return boxes.left(), boxes.born[:MAX_STANDING_BOXES]
 
 
