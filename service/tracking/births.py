@@ -11,11 +11,13 @@ from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.tracking.row_kernels import best_box, chains
-from service.tracking.standing_rows import RowParameters, Stood, direction_across, stand, thin
+from service.tracking.standing_rows import RowParameters, Stood, direction_across, mostly, stand, thin
 
 VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
 ROW = 14  # columns of a row of Births ...
 ROW_POINTS = 9  # ... the one of the points in this frame, or a frame
+# velocity of what stands, and standard deviations of place [m] and velocity [m/s] along and across the view
+_AT_REST = (0.0, 0.0, 0.6, 0.6, 0.3, 0.5)
 MAX_STANDING_BOXES = 12  # a bound on the work of one frame, in counts
 
 
@@ -237,7 +239,7 @@ def _side_on(
     for b in np.unique(block):
         mine = np.flatnonzero(block == b)
         u, v, n, known = x[mine], y[mine], times[mine], on_road[mine]
-        driven = bool(known.mean() > 0.5)
+        driven = mostly(known)
         least = p.driven_points_per_frame if driven else p.standing_points_per_frame
         if n.sum() < least * frames:
             continue
@@ -255,8 +257,7 @@ def standing_row(f: Stood, driven: bool, p: BirthParameters) -> F64:
     """Return the row of Births' floats of a vehicle that stands in a row."""
     heading_std_rad = p.road_heading_std_rad if driven else p.row_heading_std_rad
     return np.array([
-        f.x_m, f.y_m, f.heading_rad, 0.0, 0.0, 0.6, 0.6, 0.3, 0.5, f.rate, f.extent_m, f.length_m, 1.0,
-        heading_std_rad**2,
+        f.x_m, f.y_m, f.heading_rad, *_AT_REST, f.rate, f.extent_m, f.length_m, 1.0, heading_std_rad**2,
     ])  # fmt: skip
 
 
@@ -306,7 +307,7 @@ def _standing_box(
     centre_w = float(np.average(w[inside], weights=times[inside]))
     return (
         np.array([
-            s * centre_u + c * centre_w, c * centre_u - s * centre_w, heading, 0.0, 0.0, 0.6, 0.6, 0.3, 0.5,
+            s * centre_u + c * centre_w, c * centre_u - s * centre_w, heading, *_AT_REST,
             rate, end - u0, length, 1.0,
             (p.road_heading_std_rad if on_road else p.guess_heading_std_rad) ** 2,
         ]),

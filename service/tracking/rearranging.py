@@ -16,7 +16,7 @@ import numpy as np
 from service.tracking.births import MAX_STANDING_BOXES, ROW_POINTS, BirthParameters, standing_row
 from service.tracking.model import F64, I64, Bool
 from service.tracking.row_kernels import chains
-from service.tracking.standing_rows import Stood, direction_across, stand, thin
+from service.tracking.standing_rows import Stood, direction_across, mostly, stand, thin
 from service.tracking.state import Tracks
 
 
@@ -129,7 +129,7 @@ def rearrange(  # noqa: PLR0913, PLR0917 - tracks, points, and what is known of 
         stood, _ = stand(u, v, n, frames, across, birth.length_m, birth.rows)
         found = [f for f in stood if f.rate >= p.rate]
         if len(found) > 1:
-            _settle(boxes, which, found, birth, p, driven=bool(2 * on_road[mine].sum() > len(u)))
+            _settle(boxes, which, found, birth, p, driven=mostly(on_road[mine]))
     boxes.born.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return boxes.left(), boxes.born[:MAX_STANDING_BOXES]
 

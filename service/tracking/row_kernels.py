@@ -156,9 +156,10 @@ def part_row(u: F64, times: F64, limits: tuple[float, ...]) -> F64:
 
     u (N,) along the row, times (N,) points of each place; limits: bin [m], least gap [m], share of points in
     a gap, fewest points of a vehicle, nats that one more costs, weight of a bin, shape of the negative
-    binomial. By dynamic programming: best[e] is the log-likelihood of the best way to part all bins before e
-    into vehicles and gaps. Some scatterers answer better than others, so the points of a bin are negative
-    binomial, more uneven than Poisson's; what all ways have in common is left out.
+    binomial. Optimal partitioning (Jackson et al. 2005), by dynamic programming: best[e] is the
+    log-likelihood of the best way to part all bins before e into vehicles and gaps. Some scatterers answer
+    better than others, so the points of a bin are negative binomial, more uneven than Poisson's; what all
+    ways have in common is left out.
     """
     width, gap_m, leak, fewest, cost, told, shape = limits
     low = u.min() - 0.5

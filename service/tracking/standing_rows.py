@@ -21,7 +21,6 @@ from service.tracking.row_kernels import log_length_density, nearest_face, part_
 _PLACE_M = 0.3  # echoes of one scatterer lie this near to one another
 _STEP_RAD = math.radians(3.0)
 _LIKE_LOS_RAD = _STEP_RAD * np.arange(-6.0, 7.0)  # rows turned no more are seen end-on
-_MOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +72,11 @@ def thin(points: F64) -> tuple[F64, F64, F64, I64]:
     return x, y, times.astype(np.float64), first
 
 
+def mostly(driven: Bool) -> bool:
+    """Return whether more than half of the places (N,) are on a driven road."""
+    return bool(2 * np.count_nonzero(driven) > len(driven))
+
+
 def direction_across(  # noqa: PLR0913, PLR0917 - places, and what is known of the road there
     x: F64, y: F64, times: F64, frames: int, driven: Bool, road_heading_rad: F64, p: RowParameters
 ) -> float | None:
@@ -82,7 +86,7 @@ def direction_across(  # noqa: PLR0913, PLR0917 - places, and what is known of t
     (N,) its heading (N,) tells; elsewhere rows across must explain the places better than rows along do.
     """
     los = math.atan2(float(x.mean()), float(y.mean()))
-    if driven.mean() > _MOST:
+    if mostly(driven):
         heading = float(road_heading_rad[int(np.argmax(np.where(driven, times, 0.0)))])
         return heading if abs(math.cos(heading - los)) <= math.sin(p.turn_rad) else None
     most = round(p.turn_rad / _STEP_RAD)

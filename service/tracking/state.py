@@ -201,9 +201,7 @@ class TrackerState:
 
     tracks: Tracks
     window: Window  # frames that clustering joins
-    standing_window: (
-        Window  # standing points of the last second, claimed or not; of vehicles that never moved
-    )
+    standing_window: Window  # standing points of the last second, claimed or not
     frame_times_us: tuple[int, ...]  # times of the frames in `standing_window`, oldest first
     clutter: ClutterMap
     road: RoadMap

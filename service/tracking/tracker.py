@@ -115,14 +115,7 @@ def step(
     )
     if apart is not state.tracks:
         state, born = replace(state, tracks=apart), birth.gather([*birth.rows(born), *abreast])
-    dropped = state.tracks.number[:0]
-    if _may_rearrange(state, frame.time_us, p):
-        q, frames = _all_standing(state, p), max(len(state.frame_times_us), 1)
-        driven, along = driven_way(state, q, p)
-        moved, others = rearrange(state.tracks, q, frames, driven, along, p.birth, p.rearranging)
-        dropped = state.tracks.number[~np.isin(state.tracks.number, moved.number)]
-        if moved is not state.tracks or others:
-            state, born = replace(state, tracks=moved), birth.gather([*birth.rows(born), *others])
+    state, born, dropped = _put_right(state, born, frame.time_us, p)
     tracks = start(state, bank, born, frame.time_us, p)
     view = (p.sensor.range_min_m, p.sensor.range_max_m, p.sensor.azimuth_max_rad)
     if len(dropped):  # what stood beside a vehicle's own box is no vehicle that was lost
@@ -340,18 +333,29 @@ def _recent_times(state: TrackerState, time_us: int, p: TrackerParameters) -> tu
     return (*(t for t in state.frame_times_us if t > oldest), time_us)
 
 
+def _put_right(
+    state: TrackerState, born: birth.Births, time_us: int, p: TrackerParameters
+) -> tuple[TrackerState, birth.Births, I64]:
+    """Return the state with the boxes of standing rows put right, all births, and the numbers that end."""
+    before = state.tracks
+    if not _may_rearrange(state, time_us, p):
+        return state, born, before.number[:0]
+    q = state.standing_window.points
+    q = q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
+    driven, along = driven_way(state, q, p)
+    after, rows = rearrange(before, q, len(state.frame_times_us), driven, along, p.birth, p.rearranging)
+    if rows:
+        born = birth.gather([*birth.rows(born), *rows])
+    dropped = before.number[~np.isin(before.number, after.number)]
+    return (state if after is before else replace(state, tracks=after)), born, dropped
+
+
 def _may_rearrange(state: TrackerState, time_us: int, p: TrackerParameters) -> bool:
     """Return whether boxes of standing rows are looked at now: now and then, when a second was seen."""
     every, times = p.rearranging.interval_frames, state.frame_times_us
     if every <= 0 or state.frames % every != every - 1 or len(times) < p.birth.standing_min_frames:
         return False
     return time_us - times[0] >= p.rearranging.window_share * p.birth.standing_window_s * 1e6
-
-
-def _all_standing(state: TrackerState, p: TrackerParameters) -> F64:
-    """Return the standing points of the last second that are not clutter, claimed or not."""
-    q = state.standing_window.points
-    return q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
 
 
 def _slide_standing(
