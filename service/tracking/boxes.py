@@ -30,8 +30,7 @@ M_SCATTER = 16  # mean square of the points' places across, in variances of one 
 MEASUREMENT_COLUMNS = 17
 
 # Visible-side bias of the weighted mean across the box, in widths, by aspect angle: side faces turn towards
-# the
-# radar and pull the mean to their side. Measured on labelled scenes; see docs/tracker.md.
+# the radar and pull the mean to their side. Measured on labelled scenes; see docs/tracker.md.
 _BIAS_ANGLE_RAD = np.deg2rad(np.array([0.0, 3.0, 8.0, 15.0, 30.0, 60.0, 90.0]))
 _BIAS_WIDTHS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.36, 0.39])
 
@@ -39,9 +38,9 @@ _FAR = 60.0  # squared distance from which a point has nothing to do with a box:
 _SLACK = 1.0 + 1e-9  # rounding must not end a pair that the full sum would keep
 ROW_POINTS = 3  # fewer tell no direction
 ROW_SPREAD_M2 = 0.2  # variance of a vehicle's echoes about the line along its side, measured likewise
-ROW_CORNER = (
-    0.45  # two faces seen at once pull that line towards the diagonal, by this share of width / length
-)
+ROW_CORNER = 0.45  # two faces at once pull that line to the diagonal, by this share of width / length
+# points in a moving box say only that it holds them: the noise of its centre is so many times an end's
+HOLDS_ABOVE_MPS, HOLDS_TIMES = 1.0, 3.0
 # of a vehicle in a shadow so few points, which would put it so far back, are not of its near face: they lie
 # anywhere in it, with this share of its length as deviation
 HIDDEN_POINTS, HIDDEN_BACK_M, HIDDEN_SHARE = 2, 0.8, 0.25
@@ -377,6 +376,8 @@ def measure_boxes(
                     out[q, M_U] = u_max - half
                 elif u_min < -half:
                     out[q, M_U] = u_min + half
+                elif b[BSPEED] > HOLDS_ABOVE_MPS:
+                    std *= HOLDS_TIMES
             out[q, M_VAR_U] = std * std + var_u / (count * count)
         if n_v > 0:
             insert_sort(dv, order, n_v)

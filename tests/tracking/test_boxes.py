@@ -243,6 +243,29 @@ def test_a_point_of_a_vehicle_in_a_shadow_may_be_of_its_far_end(along_m, hidden,
     assert (measured[0, b.M_VAR_U] > 1.0) == (hidden and along_m[0] > 0.0 and len(along_m) < 3)
 
 
+@pytest.mark.parametrize(
+    ("along_m", "speed_mps", "centre_m", "std_m"),
+    [
+        ((-0.5, 0.5), 8.0, 0.0, 2.25),  # two echoes say that it holds them, and hardly where its centre is
+        ((-0.5, 0.5), 0.5, 0.0, 0.75),  # a box that stands is kept where it is
+        ((1.5, 2.6), 8.0, 0.4, 0.75),  # an end that the box does not reach carries it on
+        ((-2.1, 2.1), 8.0, 0.0, 0.45),  # both ends
+    ],
+)
+def test_from_the_side_echoes_in_a_moving_box_tell_little_of_its_centre(along_m, speed_mps, centre_m, std_m):
+    box, point = np.zeros((1, b.BOX_COLUMNS)), np.zeros((len(along_m), b.POINT_COLUMNS))
+    box[0, [b.BX, b.BY, b.BSIN, b.BCOS, b.BLEN, b.BWID, b.BSPEED]] = 0.0, 60.0, 1.0, 0.0, 4.4, 1.9, speed_mps
+    point[:, b.PX], point[:, b.PY], point[:, b.PWEIGHT] = along_m, 59.0, 10.0
+    point[:, b.PG] = np.hypot(point[:, b.PX], point[:, b.PY])
+
+    measured = b.measure_boxes(
+        np.array([0]), np.array([0]), np.zeros(len(point), dtype=np.int64), point, box, 20.0
+    )
+
+    assert measured[0, b.M_U] == pytest.approx(centre_m, abs=0.01)
+    assert np.sqrt(measured[0, b.M_VAR_U]) == pytest.approx(std_m, abs=0.01)
+
+
 def measured_turn(x, y, aspect_rad, turned_rad, points):
     """Return the angle and variance that points (u, w) of a car tell, whose box lies turned_rad from it."""
     box, point = np.zeros((1, b.BOX_COLUMNS)), np.zeros((len(points), b.POINT_COLUMNS))
