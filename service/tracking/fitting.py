@@ -41,6 +41,7 @@ def fit_to_sensor(p: TrackerParameters) -> TrackerParameters:
             p.birth,
             keep_out_like_mps=p.birth.keep_out_like_mps * in_rate,
             radial_std_mps=p.birth.radial_std_mps * in_rate,
+            rows=replace(p.birth.rows, leak_range_m=p.birth.rows.leak_range_m / in_azimuth),
         ),
         merging=replace(
             p.merging,

@@ -36,7 +36,9 @@ class RowParameters:
     bin_told: float = 0.5  # neighbouring bins say the same, by half
     shape: float = 2.0  # of the negative binomial number of points in a bin
     gap_m: float = 1.5  # between two vehicles, at least
-    leak: float = 0.2  # points in a gap, as a share of those beside it
+    leak: float = 0.2  # points in a gap, as a share of those beside it, at this range and beyond ...
+    leak_range_m: float = 95.0
+    leak_least: float = 0.4  # ... and fewer nearby, where azimuth is sharper, down to this share of it
     vehicle_points: int = 6  # fewer are no vehicle
     vehicle_nats: float = 1.0  # of likelihood that one vehicle more must gain
     across_nats: float = 5.0  # by which rows across must be likelier than rows along ...
@@ -109,7 +111,7 @@ def stand(  # noqa: PLR0913, PLR0917 - as for `direction_across`
     """
     u, depth, away = _turned(x, y, heading_rad)
     s, c = math.sin(heading_rad), math.cos(heading_rad)
-    found, inside = _vehicles(u, depth, times, p)
+    found, inside = _vehicles(u, depth, times, _range_m(x, y), p)
     out = []
     for begin, end, near, count in found.tolist():
         length = end - begin if end - begin >= p.long_m else car_length_m
@@ -126,15 +128,21 @@ def _turned(x: F64, y: F64, heading_rad: float) -> tuple[F64, F64, float]:
     return s * x + c * y, away * (c * x - s * y), away
 
 
-def _vehicles(u: F64, depth: F64, times: F64, p: RowParameters) -> tuple[F64, Bool]:
+def _range_m(x: F64, y: F64) -> float:
+    return math.hypot(float(x.mean()), float(y.mean()))
+
+
+def _vehicles(u: F64, depth: F64, times: F64, range_m: float, p: RowParameters) -> tuple[F64, Bool]:
     """Return a row (K, 4) for each vehicle, and which places (N,) belong to one.
 
-    u, depth (N,): places along the rows and away from the radar. A vehicle: its ends along the row, where its
-    near side begins, and its points. The row with most points in its near side comes first.
+    u, depth (N,): places along the rows and away from the radar, which is `range_m` from them. A vehicle: its
+    ends along the row, where its near side begins, and its points. The row with most points in its near side
+    comes first.
     """
     found: list[tuple[float, float, float, float]] = []
     left, inside = np.ones(len(u), np.bool_), np.zeros(len(u), np.bool_)
-    limits = (p.bin_m, p.gap_m, p.leak, float(p.vehicle_points), p.vehicle_nats, p.bin_told, p.shape)
+    leak = p.leak * min(max((range_m / max(p.leak_range_m, 1.0)) ** 3, p.leak_least), 1.0)
+    limits = (p.bin_m, p.gap_m, leak, float(p.vehicle_points), p.vehicle_nats, p.bin_told, p.shape)
     while times[left].sum() >= p.vehicle_points:
         near = nearest_face(depth, times, left, p.face_m)
         band = left & (depth >= near - p.before_m) & (depth < near + p.depth_m)
@@ -159,7 +167,7 @@ def _explained(  # noqa: PLR0913, PLR0917 - as for `direction_across`
     In a vehicle of a row points are as dense as there are; the others lie anywhere.
     """
     u, depth, _ = _turned(x, y, heading_rad)
-    found, _ = _vehicles(u, depth, times, p)
+    found, _ = _vehicles(u, depth, times, _range_m(x, y), p)
     told = min(p.told_share, p.told_frames / max(frames, 1))
     rest, total = np.ones(len(x), np.bool_), 0.0
     for begin, end, near, _ in found.tolist():

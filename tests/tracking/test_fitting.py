@@ -35,6 +35,14 @@ def test_what_stands_for_the_radar_grows_with_its_noise_and_vehicles_do_not():
     assert fitted(velocity_mps=5.0).clutter.standing_mps == pytest.approx(3.0 * default.clutter.standing_mps)
 
 
+def test_a_blurred_gap_is_filled_nearer_to_the_radar():
+    rows = TrackerParameters().birth.rows
+
+    assert fitted(azimuth_deg=0.6, azimuth_floor_deg=0.2).birth.rows.leak_range_m == pytest.approx(
+        0.5 * rows.leak_range_m
+    )
+
+
 def test_a_setting_of_ones_own_goes_on_top():
     config = SensorConfig(noise_std=NoiseStd(velocity_mps=0.2), parameters={"clutter.standing_mps": "0.6"})
 

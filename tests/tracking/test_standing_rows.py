@@ -46,7 +46,17 @@ def test_a_bus_is_one(seed):
 
     assert len(found) == 1
     assert (found[0].x_m, found[0].y_m) == pytest.approx((20.0, 85.0), abs=0.6)
-    assert found[0].length_m == pytest.approx(12.0, abs=1.2)
+    assert found[0].length_m == pytest.approx(12.0, abs=1.4)
+
+
+@pytest.mark.parametrize(("y_m", "lengths_m"), [(100.0, [4.4, 4.4]), (60.0, [11.2])])
+def test_echoes_between_two_are_a_gap_only_where_azimuth_blurs_it(y_m, lengths_m):
+    between = points_of((0.0, y_m, 2.0), rate=5.0, noise_m=0.0)  # half as many as beside it
+    beside = points_of((-3.2, y_m, 4.4), (3.2, y_m, 4.4), rate=10.0, noise_m=0.05)
+
+    found, _ = stood(np.concatenate([beside, between]))
+
+    assert [f.length_m for f in found] == pytest.approx(lengths_m, abs=0.9)
 
 
 def test_rows_of_two_lanes_are_kept_apart():
