@@ -3,13 +3,15 @@
 A box may be born of two vehicles one behind the other, or of one of each of two rows, and a vehicle of two
 boxes; while they stand their points go on to feed them as if that were right. A second of points tells how
 the rows stand (see `standing_rows`): a box that holds several vehicles goes onto one of them and the others
-start tracks, a box that lies across its row is turned into it, and of two boxes on one car one is dropped.
+start tracks, a box that lies across its row is turned into it, of two boxes on one car one is dropped, and
+the boxes on a bus or a truck become one that is as long.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,17 +34,31 @@ class RearrangingParameters:
     young_hits: int = 30  # ... while a younger one may lie any way
     near_m: float = 7.0  # points so far off a box may be of the next vehicle, all of it
     rate: float = 2.0  # points a frame of a vehicle that a box may be put onto
-    same_m: float = 1.5  # a box whose centre is this near to a vehicle's is on it ...
+    same_m: float = 1.5  # a box whose centre is this near to a vehicle's is on it, or two partings agree ...
     same_share: float = 0.25  # ... or so much of its length
     askew_rad: float = 0.3  # it is turned into its row if it lies so far across it
     holds_along_m: float = 0.3  # a vehicle is held by a box that reaches so far beyond its centre ...
     holds_across_m: float = 0.8
     holds_row_m: float = 2.2  # ... or lies this near to its row and covers half of it
     car_m: float = 6.0  # no longer vehicle is sure to be one
+    long_m: float = 7.0  # a longer one is, if it is found, too, with each vehicle so much likelier ...
+    sure_nats: float = 2.0
+    keep_nats: float = 2.0  # ... or, where a box has its length, so much less likely
+    longer_m: float = 2.0  # a box has its length to this
     inside_m: float = 1.5  # a box whose centre is no further across a car is on it
     touch_along_m: float = 1.0  # boxes that overlap no more than this do not stand in one place
     touch_across_m: float = 0.3
     moved_std_m: float = 0.3
+
+
+class _Block(NamedTuple):
+    """Standing points that may be of one row, or of rows beside one another."""
+
+    x: F64  # (N,) places
+    y: F64
+    times: F64  # points that each place stands for, of ...
+    frames: int
+    heading_rad: float  # of the rows
 
 
 @dataclass
@@ -126,19 +142,78 @@ def rearrange(  # noqa: PLR0913, PLR0917 - tracks, points, and what is known of 
         across = direction_across(u, v, n, frames, on_road[mine], along[mine], birth.rows)
         if across is None:
             continue
-        stood, _ = stand(u, v, n, frames, across, birth.length_m, birth.rows)
-        found = [f for f in stood if f.rate >= p.rate]
-        if len(found) > 1:
-            _settle(boxes, which, found, birth, p, driven=mostly(on_road[mine]))
+        found, sure = _parted(boxes, which, _Block(u, v, n, frames, across), birth, p)
+        if len(found) > 1 or sure:
+            _settle(boxes, which, found, sure, birth, p, driven=mostly(on_road[mine]))
     boxes.born.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return boxes.left(), boxes.born[:MAX_STANDING_BOXES]
 
 
-def _settle(  # noqa: PLR0913 - boxes, vehicles, and what is known of the road there
-    boxes: _Boxes, which: I64, found: list[Stood], birth: BirthParameters, p: RearrangingParameters, *,
-    driven: bool,
+def _parted(
+    boxes: _Boxes, which: I64, block: _Block, birth: BirthParameters, p: RearrangingParameters
+) -> tuple[list[Stood], list[Stood]]:
+    """Return the vehicles of one block of points, and those of them that are long for certain.
+
+    Two cars with an echo in the gap look like a truck with a weak place in its side. So a long vehicle is
+    certain where a parting that takes vehicles for likelier finds it, too; and once a box has its length, and
+    no other lies in it, as long as one that takes them for less likely does.
+    """
+
+    def parted(nats: float) -> list[Stood]:
+        rows = replace(birth.rows, vehicle_nats=birth.rows.vehicle_nats + nats)
+        found, _ = stand(block.x, block.y, block.times, block.frames, block.heading_rad, birth.length_m, rows)
+        return [f for f in found if f.rate >= p.rate]
+
+    found, now = parted(0.0), boxes.as_put()
+    known = [i for i in which.tolist() if i not in boxes.gone and now.length_m[i] >= p.long_m]
+    known = [i for i in known if _near_block(now, i, block)]
+    sure = [
+        f
+        for f in (parted(p.keep_nats) if known else [])
+        if f.length_m >= p.long_m and _known_as_one(now, known, f, p)
+    ]
+    found = [f for f in found if not any(_covers(long, f, p) for long in sure)] + sure
+    asked = [f for f in found if f.length_m >= p.long_m and f not in sure]
+    likelier = parted(-p.sure_nats) if asked else []
+    return found, sure + [f for f in asked if any(_same(f, other, p) for other in likelier)]
+
+
+def _near_block(t: Tracks, i: int, block: _Block) -> bool:
+    apart_m = np.hypot(block.x - t.x_m[i], block.y - t.y_m[i])
+    return bool(apart_m.min() < 0.5 * t.length_m[i])
+
+
+def _known_as_one(t: Tracks, known: list[int], f: Stood, p: RearrangingParameters) -> bool:
+    """Return whether the only box in a long vehicle is one of the long ones that are known, and as long."""
+    here = [i for i in np.flatnonzero(t.confirmed).tolist() if _inside(t, i, f, p)]
+    return len(here) == 1 and here[0] in known and _as_long(t, here[0], f, p)
+
+
+def _as_long(t: Tracks, i: int, f: Stood, p: RearrangingParameters) -> bool:
+    return abs(float(t.length_m[i]) - f.length_m) < p.longer_m
+
+
+def _covers(long: Stood, f: Stood, p: RearrangingParameters) -> bool:
+    """Return whether the centre of a vehicle lies in a long one."""
+    s, c = math.sin(long.heading_rad), math.cos(long.heading_rad)
+    dx, dy = f.x_m - long.x_m, f.y_m - long.y_m
+    return abs(s * dx + c * dy) < 0.5 * long.length_m and abs(c * dx - s * dy) < p.inside_m
+
+
+def _same(f: Stood, other: Stood, p: RearrangingParameters) -> bool:
+    """Return whether two partings of the same points found the same long vehicle."""
+    near = math.hypot(other.x_m - f.x_m, other.y_m - f.y_m) < p.same_m
+    return near and abs(other.length_m - f.length_m) < p.same_m
+
+
+def _settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of the road there
+    boxes: _Boxes, which: I64, found: list[Stood], sure: list[Stood], birth: BirthParameters,
+    p: RearrangingParameters, *, driven: bool,
 ) -> None:  # fmt: skip
-    """Put the boxes `which` onto the vehicles found in one block of points, once each."""
+    """Put the boxes `which` onto the vehicles found in one block of points, once each.
+
+    sure: those of the vehicles that are long for certain.
+    """
     tracks = boxes.tracks
     least = birth.driven_points_per_frame if driven else birth.standing_points_per_frame
     on = _on(tracks, found, p)  # the vehicle of each box that is on one
@@ -159,14 +234,41 @@ def _settle(  # noqa: PLR0913 - boxes, vehicles, and what is known of the road t
             continue  # without the box it would have none
         on[i] = onto
         boxes.put(i, found[onto], birth, p)
+        others = [k for k in others if found[k] not in sure]  # its own box goes onto it, or it starts a track
         boxes.born += [standing_row(found[k], driven=driven, p=birth) for k in others]
         free -= {onto, *others}
+    _unite(boxes, which, {k: f for k, f in enumerate(found) if f in sure}, on, birth, p)
     _drop(boxes, which, found, on, birth, p)
     now = boxes.as_put()
     stay = [i for i in np.flatnonzero(tracks.confirmed).tolist() if i not in boxes.gone]
     for k in sorted(free):
         if found[k].rate >= least and not any(_touch(now, i, found[k], birth, p) for i in stay):
             boxes.born.append(standing_row(found[k], driven=driven, p=birth))
+
+
+def _unite(  # noqa: PLR0913, PLR0917 - as for `_settle`
+    boxes: _Boxes, which: I64, long: dict[int, Stood], on: dict[int, int], birth: BirthParameters,
+    p: RearrangingParameters,
+) -> None:  # fmt: skip
+    """Put the oldest of the boxes in each long vehicle onto all of it, and let the others end.
+
+    long: the vehicles that are long for certain, by their numbers among all. A box that is on another vehicle
+    stays there; where one is on it that may not be moved, that is the one which is known better.
+    """
+    movable = set(which.tolist())
+    for k, f in long.items():
+        now = boxes.as_put()
+        here = [i for i in which.tolist() if i not in boxes.gone and on.get(i, k) == k]
+        here = [i for i in here if _inside(now, i, f, p)]
+        if not here:
+            continue
+        if any(on[i] == k for i in on.keys() - movable):
+            boxes.gone |= set(here)
+            continue
+        keep = here[0]
+        if _apart_m(now, keep, f) > p.same_m or not _as_long(now, keep, f, p):
+            boxes.put(keep, f, birth, p)
+        boxes.gone |= set(here[1:])
 
 
 def _drop(  # noqa: PLR0913, PLR0917 - as for `_settle`

@@ -41,11 +41,9 @@ def boxes(*places, heading_rad=ACROSS_RAD, length_m=4.4, **columns):
     return blank.but(**(given | columns))
 
 
-def put_right(tracks, points):
-    nowhere = np.zeros(len(points), np.bool_)
-    after, rows = rearrange(
-        tracks, points, FRAMES, nowhere, np.zeros(len(points)), BirthParameters(), RearrangingParameters()
-    )
+def put_right(tracks, points, parameters=None):
+    nowhere, p = np.zeros(len(points), np.bool_), parameters or RearrangingParameters()
+    after, rows = rearrange(tracks, points, FRAMES, nowhere, np.zeros(len(points)), BirthParameters(), p)
     return after, births.gather(rows)
 
 
@@ -100,6 +98,127 @@ def test_a_box_is_not_taken_off_a_car_that_would_have_none():
 
     assert after is before
     assert len(new) == 0
+
+
+BUS = 20.0, 85.0, 12.0
+
+
+def weak_in_the_middle(share):
+    """Points of a side of 10.4 m whose middle 1.6 m give that share of the echoes of the rest."""
+    ends = points_of((15.6, 85.0, 4.4), (21.6, 85.0, 4.4), noise_m=0.05, rate=6.0)
+    return np.concatenate([ends, points_of((18.6, 85.0, 1.6), noise_m=0.05, rate=6.0 * share)])
+
+
+def test_the_boxes_on_a_bus_become_the_oldest_of_them_and_as_long():
+    after, new = put_right(boxes((23.0, 85.0), (19.4, 85.2), (16.0, 84.9), length_m=4.4), points_of(*[BUS]))
+
+    assert after.number.tolist() == [5]
+    assert (after.x_m[0], after.length_m[0]) == pytest.approx((20.0, 12.0), abs=0.9)
+    assert len(new) == 0
+
+
+def test_a_box_that_is_as_long_as_its_bus_is_left_alone():
+    before = boxes((20.3, 85.1), length_m=12.4)
+
+    after, new = put_right(before, points_of(*[BUS]))
+
+    assert after is before
+    assert len(new) == 0
+
+
+def test_what_may_be_two_cars_is_parted_but_for_a_box_that_knows_its_length():
+    points = weak_in_the_middle(0.5)
+
+    cars, _ = put_right(boxes((15.6, 85.0), (21.6, 85.0)), points)
+    truck, new = put_right(boxes((18.6, 85.0), length_m=10.4), points)
+
+    assert cars.number.tolist() == [5, 6]
+    assert truck.number.tolist() == [5]
+    assert truck.length_m[0] == pytest.approx(10.4, abs=0.9)
+    assert len(new) == 0
+
+
+def test_what_is_long_but_not_for_certain_keeps_its_boxes():
+    points = weak_in_the_middle(0.62)
+    bold = dataclasses.replace(RearrangingParameters(), sure_nats=0.0)
+
+    after, _ = put_right(boxes((15.6, 85.0), (21.6, 85.0)), points)
+    united, _ = put_right(boxes((15.6, 85.0), (21.6, 85.0)), points, bold)
+
+    assert after.number.tolist() == [5, 6]
+    assert united.number.tolist() == [5]
+
+
+@pytest.mark.parametrize(
+    "lies", [{"places": (22.4, 85.0)}, {"length_m": 7.6}, {"heading_rad": ACROSS_RAD + 0.4}]
+)
+def test_a_box_that_lies_ill_on_a_bus_is_put_onto_it(lies):
+    before = boxes(lies.pop("places", (20.0, 85.0)), **{"length_m": 12.0, **lies})
+
+    after, _ = put_right(before, points_of(*[BUS]))
+
+    assert (after.x_m[0], after.length_m[0]) == pytest.approx((20.0, 12.0), abs=0.9)
+    assert abs(np.sin(after.heading_rad[0])) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_truck_in_the_next_lane_does_not_make_two_vehicles_one():
+    two = points_of((14.3, 85.0, 5.8), (21.9, 85.0, 5.8), noise_m=0.05, rate=6.0)
+    between = points_of((18.1, 85.0, 1.8), noise_m=0.05, rate=1.0)
+    truck = points_of((18.1, 82.0, 13.4), noise_m=0.05, rate=6.0, seed=9)
+    before = boxes((14.3, 85.0), (21.9, 85.0), (18.1, 82.0), length_m=np.array([5.8, 5.8, 13.4]))
+
+    after, _ = put_right(before, np.concatenate([two, between, truck]))
+
+    assert after.number.tolist() == [5, 6, 7]
+
+
+def test_each_of_two_trucks_abreast_keeps_its_box():
+    points = np.concatenate([points_of((20.0, 85.0, 12.0)), points_of((20.0, 88.2, 12.0), seed=9)])
+
+    after, new = put_right(boxes((20.0, 85.0), (20.3, 86.2), length_m=12.0), points)
+
+    assert after.number.tolist() == [5, 6]
+    assert len(new) == 0
+
+
+def test_a_car_beside_a_bus_that_has_its_box_starts_a_track():
+    points = np.concatenate([points_of(BUS), points_of((20.5, 88.4, 4.4), seed=9)])
+
+    after, new = put_right(boxes((20.0, 85.0), length_m=12.0), points)
+
+    assert after.number.tolist() == [5]
+    assert (new.x_m.tolist(), new.y_m.tolist()) == (
+        pytest.approx([20.5], abs=0.9), pytest.approx([88.4], abs=0.9)
+    )  # fmt: skip
+
+
+def test_where_a_bus_drove_up_with_its_box_no_other_goes_onto_it():
+    columns = {"length_m": np.array([4.4, 12.0]), "born_x_m": np.array([18.0, -40.0])}
+    before = boxes((18.0, 85.0), (20.0, 85.1), **columns)
+
+    after, new = put_right(before, points_of(*[BUS]))
+
+    assert after.number.tolist() == [6]
+    assert len(new) == 0
+
+
+def test_a_bus_that_is_taken_out_of_a_box_with_a_car_starts_one_track_at_most():
+    points = np.concatenate([points_of(BUS), points_of((30.4, 85.0, 4.4), seed=9)])
+    held = boxes((25.5, 85.0), length_m=17.0)
+    both = boxes((25.5, 85.0), (16.0, 85.0), length_m=np.array([17.0, 4.4]))
+
+    for before in (held, both):
+        after, new = put_right(before, points)
+        assert all_places(after, new) == pytest.approx([20.0, 30.4], abs=0.9)
+
+
+def test_a_long_box_over_two_cars_does_not_end_the_box_of_one():
+    after, _ = put_right(
+        boxes((18.6, 85.0), (21.6, 85.0), length_m=np.array([10.4, 4.4])), weak_in_the_middle(0.5)
+    )
+
+    assert after.number.tolist() == [5, 6]
+    assert after.x_m.tolist() == pytest.approx([15.6, 21.6], abs=0.9)
 
 
 def test_a_box_over_two_blocks_of_points_is_moved_once():
