@@ -31,7 +31,8 @@ class RestingParameters:
     edge_m: float = 4.0  # what was this near the ends of the view has left it
     faint_frames: int = 10  # a track silent for so long, as likely not to exist as to, is as good as ended
     faint_log_odds: float = 0.0
-    turn_rad: float = 0.6  # most that the vehicle may have turned
+    turn_rad: float = 0.6  # most that the vehicle may have turned ...
+    turn_stds: float = 2.0  # ... and so many standard deviations of a heading that is still a guess
     across_m: float = 2.6  # that it may be found beside its way on, most of it the error of both places ...
     across_share: float = 0.02  # ... and so much of the way
     lane_m: float = 2.0  # who drove less than this beside it was in its lane
@@ -195,7 +196,8 @@ def _misfit(  # noqa: PLR0913, PLR0917 - who rests, who was found, and all other
     fastest = max(here.speed_mps, was.speed_mps)
     most = fastest * since_s + 0.5 * p.accel_mps2 * min(since_s, p.accel_s) ** 2 + p.slack_m
     beside = abs(across) > p.across_m + p.across_share * abs(along)
-    if abs(turn) > p.turn_rad or beside or not -p.slack_m <= along <= most:
+    turned = abs(turn) > p.turn_rad + p.turn_stds * math.sqrt(float(tracks.heading_var[i]))
+    if turned or beside or not -p.slack_m <= along <= most:
         return math.inf
     went = _went(resting, k, here, tracks, place, p)
     if went is None:

@@ -119,6 +119,19 @@ def test_who_cannot_be_the_vehicle_gets_no_number(place, changed):
     assert after.number.tolist() == [1, 3, 9]
 
 
+@pytest.mark.parametrize(
+    ("std_rad", "turned_rad", "numbers"),
+    [(0.3, 1.1, [1, 2, 3]), (0.3, 1.3, [1, 3, 9]), (0.8, 2.1, [1, 2, 3])],
+)
+def test_a_heading_that_is_a_guess_keeps_nobody_from_its_number(std_rad, turned_rad, numbers):
+    _, after = found(
+        at_rest(), (1, 70.0), (3, 50.0), (9, 60.0), heading_rad=[0.0, 0.0, turned_rad],
+        heading_var=[0.0, 0.0, std_rad**2],
+    )  # fmt: skip
+
+    assert after.number.tolist() == numbers
+
+
 def test_a_number_is_given_back_up_to_the_end_of_its_rest():
     last_us = HIT_US + 30_000_000
 
