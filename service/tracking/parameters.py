@@ -80,9 +80,9 @@ class AssociationParameters:
         0.2  # that a point's range rate may differ from its box's without a cost of note
     )
     widen_after: int = 3  # empty frames in a row after which the gate is widened
-    widen_position_m2: float = 0.06  # added per frame to each position variance
-    widen_velocity_m2ps2: float = 2.0  # ... and to each of velocity, of what is missed in plain sight ...
-    widen_shadowed_m2ps2: float = 0.5  # ... and of what a nearer vehicle may hide
+    widen_position_m2: float = 0.03  # added per frame to each position variance
+    widen_velocity_m2ps2: float = 0.5  # ... and to each of velocity, of what is missed in plain sight ...
+    widen_shadowed_m2ps2: float = 0.1  # ... and of what a nearer vehicle may hide
     hidden_travel_m: float = 15.0  # a box in a shadow that has not come so far may stand on posts
     off_road_range_m: float = 140.0  # farther out the road map has not been taught
     birth_accel_std_mps2: float = 2.0
