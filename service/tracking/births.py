@@ -44,7 +44,8 @@ class BirthParameters:
     standing_interval_frames: int = 5
     standing_window_s: float = 1.0
     standing_min_frames: int = 10  # half the window at 20 Hz
-    standing_points_per_frame: float = 2.6  # a post gives one
+    standing_points_per_frame: float = 3.1  # a post gives one, and a box is long enough for three
+    row_points_per_frame: float = 2.6  # of a vehicle in a row across the line of sight, which tells the row
     standing_spread_m: float = 1.5
     driven_points_per_frame: float = 0.8  # where vehicles have driven less will do
     standing_cluster_points: int = 6
@@ -240,7 +241,7 @@ def _side_on(
         mine = np.flatnonzero(block == b)
         u, v, n, known = x[mine], y[mine], times[mine], on_road[mine]
         driven = mostly(known)
-        least = p.driven_points_per_frame if driven else p.standing_points_per_frame
+        least = p.driven_points_per_frame if driven else p.row_points_per_frame
         if n.sum() < least * frames:
             continue
         heading = direction_across(u, v, n, frames, known, road_heading_rad[mine], p.rows)

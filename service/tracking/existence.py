@@ -72,22 +72,20 @@ class ExistenceParameters:
     ghost_life_s: float = 4.0  # most ghosts live some 0.6 s, a few two or three: what lasts longer is none
     slow_wait: float = 5.0
     slow_range_rate_mps: float = 1.3  # what moves slower than this along the line of sight ...
-    slow_travel_m: float = 3.0  # ... and has not come further than this may be a post
-    slow_points: float = 2.6  # off the driven road it needs so many points a hit: a post gives one
-    # a track that stands in plain sight where nobody drives, and gives few points, is a post
-    post_after_s: float = 1.0
-    post_travel_m: float = 15.0
-    post_points: float = 1.8
+    # ... and has not come further than this may be a post: a box put from one post onto the next has moved
+    # by as much as its own length
+    slow_travel_m: float = 4.5
+    slow_points: float = 3.1  # off the driven road it needs so many points a hit: three posts give three
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """What T tracks stand on and beside."""
 
-    driven: Bool  # (T,) vehicles have driven here, or nobody knows yet
     off_road: Bool  # (T,) the road is known and this is not it
-    known_road: Bool  # (T,) vehicles are known to have driven here, or one to have gone here
+    known_road: Bool  # (T,) vehicles are known to have driven here, or this one to be a vehicle
     behind_rail: Bool  # (T,) a stronger vehicle like it drives on this side of a row of standing echoes
+    post: Bool  # (T,) stands, and is no vehicle
 
 
 def detection_probability(tracks: Tracks, p: ExistenceParameters) -> F64:
@@ -228,11 +226,10 @@ def judge(
     )  # fmt: skip
     _judge(
         tracks.mean, tracks.status, tracks.log_odds, tracks.hits, tracks.empty, tracks.points_per_hit,
-        tracks.born_x_m, tracks.born_y_m, tracks.born_us, tracks.hit_us, time_us, wait, hidden, around.driven,
-        around.known_road,
+        tracks.born_x_m, tracks.born_y_m, tracks.hit_us, time_us, wait, hidden,
+        around.known_road, around.post,
         (p.confirm_log_odds, p.delete_log_odds, p.standing_mps, p.slow_range_rate_mps, p.slow_travel_m,
-        p.slow_points,
-         p.post_points, p.post_after_s, p.post_travel_m, float(p.settled_hits)),
+         p.slow_points, float(p.settled_hits)),
         (p.coast_s, p.coast_shadowed_s, p.coast_standing_s, p.coast_tentative_s, p.coast_young_s,
         p.coast_per_hit_s),
         status, over,
@@ -306,22 +303,10 @@ def _waits(
 @kernel
 def _judge(
     mean: F64, before: U8, log_odds: F64, hits: I64, empty: I64, points: F64, born_x: F64, born_y: F64,
-    born_us: I64,
-    hit_us: I64, time_us: int, wait: F64, hidden: Bool, driven: Bool, known_road: Bool, q: tuple[float, ...],
+    hit_us: I64, time_us: int, wait: F64, hidden: Bool, known_road: Bool, post: Bool, q: tuple[float, ...],
     coast: tuple[float, ...], status: U8, over: Bool,
 ) -> None:  # fmt: skip
-    (
-        confirm,
-        delete,
-        standing_mps,
-        slow_rate,
-        slow_travel,
-        slow_points,
-        post_points,
-        post_after,
-        post_travel,
-        settled,
-    ) = q
+    confirm, delete, standing_mps, slow_rate, slow_travel, slow_points, settled = q
     coast_moving, coast_hidden, coast_standing, coast_tentative, coast_young, coast_per_hit = coast
     for i in range(len(log_odds)):
         g = max(math.hypot(mean[i, 0], mean[i, 3]), 1e-6)
@@ -341,11 +326,7 @@ def _judge(
         silent = (time_us - hit_us[i]) / 1e6 > limit + 1e-9
         patient = sure and hits[i] >= settled and (standing or hidden[i])
         unlikely = log_odds[i] < delete and not patient
-        post = (
-            standing and not hidden[i] and not driven[i] and travel < post_travel and points[i] < post_points
-        )
-        post = post and (time_us - born_us[i]) / 1e6 > post_after
-        over[i] = silent or unlikely or post
+        over[i] = silent or unlikely or post[i]
 
 
 def mirror_partners(tracks: Tracks, p: ExistenceParameters) -> tuple[I64, I64]:

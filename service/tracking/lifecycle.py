@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, resting, road_map
+from service.tracking import creeping, existence, resting, road_map
 from service.tracking.assigning import Assignment
 from service.tracking.existence import Surroundings
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, U8, Bool, TrackStatus
 from service.tracking.parameters import TrackerParameters
+from service.tracking.posts import Evidence, on_posts
 from service.tracking.state import TrackerState, Tracks
 
 _CONFIRMED = int(TrackStatus.CONFIRMED)
@@ -21,19 +22,22 @@ ECHO_GAIN = 0.01  # of the running mean echo of confirmed vehicles: some hundred
 
 def live(
     state: TrackerState, tracks: Tracks, a: Assignment, time_us: int, p: TrackerParameters
-) -> tuple[Tracks, float, int]:
-    """Return the tracks that live on after a frame's association, the echo reference, and how many ended."""
+) -> tuple[Tracks, float, int, I64]:
+    """Return the tracks that live on after a frame's association, the echo reference, and who ended.
+
+    That is how many did, and the numbers of those that were on posts.
+    """
     if not len(tracks):
-        return tracks, state.echo_reference_db, 0
+        return tracks, state.echo_reference_db, 0, tracks.number
     hidden = existence.shadowed(tracks)
     tracks = existence.remember(tracks, a.measured, a.miss, time_us, hidden, p.existence)
-    around = _surroundings(state, tracks, p)
+    around = _surroundings(state, tracks, hidden, time_us, p)
     status, over = existence.judge(tracks, around, time_us, hidden, state.echo_reference_db, p.existence)
     tracks = tracks.but(status=status)
     over |= _left_view(tracks, p)
     ended = int(np.count_nonzero(over))
     reference = _echo_reference(tracks, state.echo_reference_db, p)
-    return tracks.take(~over) if ended else tracks, reference, ended
+    return tracks.take(~over) if ended else tracks, reference, ended, tracks.number[around.post]
 
 
 def _left_view(tracks: Tracks, p: TrackerParameters) -> Bool:
@@ -63,21 +67,26 @@ def let_go(tracks: Tracks, time_us: int, p: TrackerParameters) -> tuple[Tracks, 
         return tracks, 0
     tracks = tracks.but(empty=tracks.empty + 1)
     nowhere = np.zeros(len(tracks), dtype=np.bool_)
-    around = Surroundings(~nowhere, nowhere, nowhere, nowhere)
+    around = Surroundings(nowhere, nowhere, nowhere, nowhere)
     status, over = existence.judge(tracks, around, time_us, existence.shadowed(tracks), 0.0, p.existence)
     return tracks.but(status=status).take(~over), int(over.sum())
 
 
-def _surroundings(state: TrackerState, t: Tracks, p: TrackerParameters) -> Surroundings:
+def _surroundings(
+    state: TrackerState, t: Tracks, hidden: Bool, time_us: int, p: TrackerParameters
+) -> Surroundings:
     count, _, _ = road_map.driven_at(state.road, t.x_m, t.y_m, p.road)
     known = count >= p.road.driven_tracks
+    crept = creeping.seen(t, p.creeping)
     vouched = _vouched(state, t, known, p)
-    mature = state.road.teachers >= p.road.mature_tracks
-    if not mature:
-        nowhere = np.zeros(len(t), dtype=np.bool_)
-        return Surroundings(~nowhere, nowhere, vouched, _behind_rail(state, t, p))
-    off_road = ~known & (np.hypot(t.x_m, t.y_m) < p.boxes.off_road_range_m)
-    return Surroundings(known, off_road, vouched, _behind_rail(state, t, p))
+    mature = state.road.teachers >= p.road.mature_tracks  # before nobody knows where nobody drives
+    evidence = Evidence(hidden, known if mature else np.ones_like(known), vouched, crept)
+    return Surroundings(
+        off_road=~known & mature & (np.hypot(t.x_m, t.y_m) < p.boxes.off_road_range_m),
+        known_road=vouched | crept,
+        behind_rail=_behind_rail(state, t, p),
+        post=on_posts(t, evidence, time_us, state.echo_reference_db, p.posts),
+    )
 
 
 def _vouched(state: TrackerState, t: Tracks, known: Bool, p: TrackerParameters) -> Bool:

@@ -76,7 +76,10 @@ def merge(tracks: Tracks, p: MergingParameters) -> tuple[Tracks, Bool]:
             mean[i, 3] += 0.5 * (lo + hi) * c
     tracks = tracks.but(mean=mean, length_m=length)
     if (source != np.arange(n)).any():
-        tracks = tracks.take(source).but(number=tracks.number)
+        taken = tracks.take(source)
+        own, theirs = tracks.crept_m, taken.crept_m  # what either showed to be a vehicle still is one
+        crept_m = np.where(np.abs(own) > np.abs(theirs), own, theirs)
+        tracks = taken.but(number=tracks.number, crept_m=crept_m)
     return tracks, drop
 
 

@@ -20,10 +20,12 @@ from service.tracking.association_methods import check_method
 from service.tracking.births import BirthParameters
 from service.tracking.clustering_parameters import ClusteringParameters
 from service.tracking.clutter import ClutterParameters
+from service.tracking.creeping import CreepingParameters
 from service.tracking.existence import ExistenceParameters
 from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
+from service.tracking.posts import PostParameters
 from service.tracking.rearranging import RearrangingParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
@@ -108,6 +110,8 @@ class TrackerParameters:
     boxes: AssociationParameters = field(default_factory=AssociationParameters)
     extent: ExtentParameters = field(default_factory=ExtentParameters)
     existence: ExistenceParameters = field(default_factory=ExistenceParameters)
+    creeping: CreepingParameters = field(default_factory=CreepingParameters)
+    posts: PostParameters = field(default_factory=PostParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
     splitting: SplittingParameters = field(default_factory=SplittingParameters)

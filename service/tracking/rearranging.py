@@ -215,7 +215,7 @@ def _settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of t
     sure: those of the vehicles that are long for certain.
     """
     tracks = boxes.tracks
-    least = birth.driven_points_per_frame if driven else birth.standing_points_per_frame
+    least = birth.driven_points_per_frame if driven else birth.row_points_per_frame
     on = _on(tracks, found, p)  # the vehicle of each box that is on one
     free = set(range(len(found))) - set(on.values())
     for i in which.tolist():

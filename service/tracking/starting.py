@@ -141,7 +141,8 @@ def start(
     new = Tracks(
         number=state.next_number + np.arange(n), mean=fresh.mean, cov=fresh.cov, memory=fresh.memory,
         heading_rad=born.heading_rad, heading_var=born.heading_var, turn_rate_radps=np.zeros(n),
-        drift=np.zeros(n), ahead_m=np.zeros(n), scatter=np.ones(n), length_m=born.length_m,
+        drift=np.zeros(n), ahead_m=np.zeros(n), crept_m=np.zeros(n), scatter=np.ones(n),
+        length_m=born.length_m,
         width_m=np.where(born.length_m > p.extent.wide_from_m, p.extent.wide_m, p.birth.width_m),
         log_odds=np.where(sure, e.confirm_log_odds + 1.0, e.birth_log_odds),
         status=np.where(sure, TrackStatus.CONFIRMED, TrackStatus.TENTATIVE).astype(np.uint8),

@@ -37,6 +37,7 @@ class Tracks:
     turn_rate_radps: F64  # clockwise
     drift: F64  # running mean of the normalised sideways residual
     ahead_m: F64  # running mean of how far ahead its points put it, slow and seen side-on
+    crept_m: F64  # way from the radar that its range rates told while it went slowly
     scatter: F64  # running mean of the normalised square of its points' places across it
     length_m: F64
     width_m: F64
@@ -113,8 +114,8 @@ def no_tracks(memory_size: int) -> Tracks:
     f, i = np.zeros(0), np.zeros(0, dtype=np.int64)
     return Tracks(
         number=i, mean=np.zeros((0, 6)), cov=np.zeros((0, 6, 6)), memory=np.zeros((0, memory_size)),
-        heading_rad=f, heading_var=f, turn_rate_radps=f, drift=f, ahead_m=f, scatter=f, length_m=f, width_m=f,
-        log_odds=f, status=np.zeros(0, dtype=np.uint8), hits=i, empty=i,
+        heading_rad=f, heading_var=f, turn_rate_radps=f, drift=f, ahead_m=f, crept_m=f, scatter=f,
+        length_m=f, width_m=f, log_odds=f, status=np.zeros(0, dtype=np.uint8), hits=i, empty=i,
         born_us=i, hit_us=i, born_x_m=f, born_y_m=f, standing=np.zeros(0, dtype=np.bool_), detect_rate=f,
         points_per_hit=f, echo_db=f, extent_m=np.zeros((0, EXTENT_MEMORY)), map_cell=i,
         way_m=np.zeros((0, 4)),

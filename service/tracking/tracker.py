@@ -14,7 +14,7 @@ import numpy as np
 
 from service.tracking import births as birth
 from service.tracking import clutter as clutter_map
-from service.tracking import existence, extent, holding, lifecycle, resting, road_map, splitting
+from service.tracking import creeping, existence, extent, holding, lifecycle, resting, road_map, splitting
 from service.tracking.assigning import Assignment, assign, box_array
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
@@ -90,7 +90,8 @@ def step(
 
     tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p, watch)
     owned = assignment.owner >= 0
-    sure = np.concatenate((tracks.confirmed, _NOBODY))[assignment.owner]
+    vehicle = tracks.confirmed | creeping.seen(tracks, p.creeping)
+    sure = np.concatenate((vehicle, _NOBODY))[assignment.owner]
     unclaimed = np.ones(len(seen), dtype=np.bool_)
     unclaimed[usable] = ~sure
     window = Window(
@@ -98,7 +99,7 @@ def step(
     )
     free = ~window.owned
     free[new:] &= ~no_birth
-    tracks, reference, ended = lifecycle.live(state, tracks, assignment, frame.time_us, p)
+    tracks, reference, ended, on_posts = lifecycle.live(state, tracks, assignment, frame.time_us, p)
     tracks, drop = merge(tracks, p.merging)
     merged = int(np.count_nonzero(drop))
     watch("existence")
@@ -118,8 +119,8 @@ def step(
     state, born, dropped = _put_right(state, born, frame.time_us, p)
     tracks = start(state, bank, born, frame.time_us, p)
     view = (p.sensor.range_min_m, p.sensor.range_max_m, p.sensor.azimuth_max_rad)
-    if len(dropped):  # what stood beside a vehicle's own box is no vehicle that was lost
-        before = before.take(~np.isin(before.number, dropped))
+    if len(dropped) or len(on_posts):  # neither a second box nor a post is a vehicle lost
+        before = before.take(~np.isin(before.number, np.concatenate((dropped, on_posts))))
     at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
@@ -290,6 +291,7 @@ def _track(
     one_way, along = road_map.one_way_at(state.road, tracks.x_m, tracks.y_m, p.road)
     hit = a.miss < 0.5
     tracks = holding.watch_ends(tracks, a.measured, hit, p.extent)
+    tracks = creeping.watch(tracks, a.measured, hit, expected.z_hat[:, 2].copy(), dt_s, p.creeping)
     tracks = extent.learn(tracks, a.measured, hit, one_way, along, across_std_rad, dt_s, p.extent)
     watch("extent")
     return tracks, a, trails

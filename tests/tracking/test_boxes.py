@@ -465,6 +465,16 @@ def test_a_vehicle_that_was_lost_goes_on_from_where_it_is_seen_with_its_number()
     assert (left.y_m[0], left.mean[0, 4], left.empty[0], left.hits[0]) == (63.3, 3.0, 0, 10)
 
 
+@pytest.mark.parametrize("crept_m", [(-3.0, 0.5), (0.5, -3.0)])
+def test_what_either_track_showed_to_be_a_vehicle_still_is_one(crept_m):
+    left = what_is_left(
+        (60.0, 63.3), (2.0, 3.0), hits=(200, 10), length_m=(4.4, 4.4), width_m=(1.9, 1.9), empty=(10, 0),
+        crept_m=crept_m,
+    )  # fmt: skip
+
+    assert left.crept_m.tolist() == [-3.0]
+
+
 def test_a_confirmed_track_stays_before_a_tentative_one():
     status = (TrackStatus.TENTATIVE, TrackStatus.CONFIRMED)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from service.tracking import existence
 from service.tracking.existence import ExistenceParameters, Surroundings
@@ -14,7 +15,7 @@ from service.tracking.state import Tracks, no_tracks
 NOW_US = 10_000_000
 
 
-def ends(*, hidden=False, driven=False, points_per_hit=1.0):
+def ends(*, post):
     """Return whether a confirmed track that has stood for eight seconds and was just seen ends now."""
     blank = no_tracks(0)
     columns = (getattr(blank, field.name) for field in dataclasses.fields(blank))
@@ -22,22 +23,44 @@ def ends(*, hidden=False, driven=False, points_per_hit=1.0):
         mean=np.array([[0.0, 0.0, 0.0, 60.0, 0.0, 0.0]]), cov=0.1 * np.eye(6)[None],
         status=np.array([TrackStatus.CONFIRMED], dtype=np.uint8), log_odds=np.array([5.0]),
         hits=np.array([60]), hit_us=np.array([NOW_US]), born_us=np.array([NOW_US - 8_000_000]),
-        born_y_m=np.array([60.0]), points_per_hit=np.array([points_per_hit]),
+        born_y_m=np.array([60.0]), points_per_hit=np.ones(1),
     )  # fmt: skip
     no = np.zeros(1, dtype=np.bool_)
-    around = Surroundings(np.array([driven]), no, no, no)
-    _, over = existence.judge(track, around, NOW_US, np.array([hidden]), 0.0, ExistenceParameters())
+    around = Surroundings(off_road=no, known_road=no, behind_rail=no, post=np.array([post]))
+    _, over = existence.judge(track, around, NOW_US, no, 0.0, ExistenceParameters())
     return bool(over[0])
 
 
-def test_a_post_in_plain_sight_is_given_up():
-    assert ends()
-    assert not ends(driven=True)
-    assert not ends(points_per_hit=4.0)
+def test_what_is_found_to_be_a_post_ends():
+    assert ends(post=True)
+    assert not ends(post=False)
 
 
-def test_a_vehicle_in_a_shadow_is_not_taken_for_a_post():
-    assert not ends(hidden=True)  # what stands behind a truck gives few points, too
+@pytest.mark.parametrize(
+    ("travel_m", "points", "speed_mps", "known_road", "status"),
+    [
+        (4.0, 2.9, 0.0, False, TrackStatus.TENTATIVE),
+        (5.0, 2.9, 0.0, False, TrackStatus.CONFIRMED),
+        (4.0, 3.2, 0.0, False, TrackStatus.CONFIRMED),
+        (4.0, 2.9, 1.5, False, TrackStatus.CONFIRMED),
+        (4.0, 2.9, 0.0, True, TrackStatus.CONFIRMED),
+    ],
+)
+def test_what_may_be_three_posts_is_not_confirmed(travel_m, points, speed_mps, known_road, status):
+    blank = no_tracks(0)
+    columns = (getattr(blank, field.name) for field in dataclasses.fields(blank))
+    track = Tracks(*(np.zeros((1, *c.shape[1:]), c.dtype) for c in columns)).but(
+        mean=np.array([[0.0, 0.0, 0.0, 60.0, speed_mps, 0.0]]), log_odds=np.array([6.5]), hits=np.array([60]),
+        hit_us=np.array([NOW_US]), born_us=np.array([NOW_US - 8_000_000]),
+        born_y_m=np.array([60.0 + travel_m]),
+        points_per_hit=np.array([points]),
+    )  # fmt: skip
+    no = np.zeros(1, dtype=np.bool_)
+    around = Surroundings(off_road=no, known_road=np.array([known_road]), behind_rail=no, post=no)
+
+    found, over = existence.judge(track, around, NOW_US, no, 0.0, ExistenceParameters())
+
+    assert (found.tolist(), over.tolist()) == ([status], [False])
 
 
 def in_shadow(aside_m, *, std_m, status=TrackStatus.CONFIRMED):

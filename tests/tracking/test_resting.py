@@ -422,9 +422,14 @@ def test_what_stands_where_a_hidden_vehicle_is_awaited_is_no_post():
         (7, 52.0), (8, 90.0), (9, 52.0), status=[TrackStatus.TENTATIVE] * 2 + [TrackStatus.CONFIRMED]
     )
 
-    around = lifecycle._surroundings(state, seen, p)
+    still = seen.mean.copy()
+    still[:, [1, 4]] = 0.0
+    seen = seen.but(mean=still, points_per_hit=np.full(3, 2.0), born_x_m=seen.x_m, born_y_m=seen.y_m)
+    nowhere = np.zeros(len(seen), dtype=np.bool_)
+    around = lifecycle._surroundings(state, seen, nowhere, seen.born_us[0] + 3_000_000, p)
 
     assert around.known_road.tolist() == [True, False, False]  # a confirmed track need not be vouched for
+    assert around.post.tolist() == [False, True, True]
     assert not around.off_road.any()
 
 

@@ -137,7 +137,7 @@ def test_what_looks_like_a_mirror_image_waits_until_a_ghost_would_be_gone(rng, a
         born_us=np.array([0]), hit_us=np.array([round(age_s * 1e6)]),
     )  # fmt: skip
     yes, no = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
-    around = existence.Surroundings(driven=yes, off_road=no, known_road=yes, behind_rail=yes)
+    around = existence.Surroundings(off_road=no, known_road=yes, behind_rail=yes, post=no)
 
     found, over = existence.judge(t, around, round(age_s * 1e6), no, 0.0, p.existence)
 

@@ -175,6 +175,46 @@ def test_posts_make_no_tracks(rng):
     assert all(len(e) == 0 for e in outputs)
 
 
+def test_three_posts_near_one_another_are_no_vehicle_that_stands(rng):
+    x, y = np.array([-6.0, -6.0, -6.0]), np.array([60.0, 61.2, 62.4])
+    frames = [frame(k, detections(rng, x, y, np.zeros(3), np.zeros(3), 25.0)) for k in range(200)]
+
+    _, outputs = run(frames)
+
+    assert all(len(e) == 0 for e in outputs)
+
+
+def test_the_number_of_a_post_does_not_rest(rng):
+    x, y = np.array([-6.0, -6.0, -6.0]), np.array([60.0, 61.2, 62.4])
+    posts = detections(rng, x, y, np.zeros(3), np.zeros(3), 25.0)
+    frames = [
+        frame(k, *([posts] if k < 45 else [])) for k in range(60)
+    ]  # silent when they are found to be posts
+    p = TrackerParameters()
+    loose = dataclasses.replace(p.birth, standing_points_per_frame=2.0)
+
+    state, outputs = run(frames, dataclasses.replace(p, birth=loose))
+
+    assert len(outputs[44]) == 1
+    assert len(outputs[-1]) == 0
+    assert len(state.resting.number) == 0
+
+
+def test_a_car_seen_to_stop_where_nobody_has_driven_is_no_post(rng):
+    y, v, frames = 125.0, -3.0, []
+    for k in range(400):
+        v = min(0.0, v + 0.075) if k > 5 else v
+        y += v * 0.05
+        frames.append(frame(k, vehicle(rng, -6.0, y, 0.0, v, points=1)))
+    known = dataclasses.replace(TrackerParameters().road, mature_tracks=0.0)  # elsewhere the road is known
+
+    _, outputs = run(frames, dataclasses.replace(TrackerParameters(), road=known))
+
+    assert all(len(e) == 1 for e in outputs[200:])
+    assert numbers(outputs[200:]) == numbers(outputs[-1:])
+    assert outputs[-1].y_m[0] == pytest.approx(y, abs=2.2)  # half a car, of one point
+
+
 def test_a_short_shadow_does_not_change_the_number(rng):
     frames = [
         frame(k, *([] if 50 <= k < 54 else [vehicle(rng, 1.0, 100.0 - 0.75 * k, 0.0, -15.0)]))
