@@ -161,7 +161,11 @@ export class TrackTable {
       row.remove();
       this.#rows.delete(id);
     }
+    const focused = document.activeElement;
     tracks.forEach((track, place) => this.#showRow(track, place, track.track_id === selected));
+    if (focused instanceof HTMLElement && focused !== document.activeElement && this.body.contains(focused)) {
+      focused.focus({ preventScroll: true }); // a row that changes its place loses it
+    }
   }
 
   /** @param {Track[]} tracks */

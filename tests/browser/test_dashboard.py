@@ -133,6 +133,27 @@ def test_a_row_opens_the_details_and_the_headings_sort(road, visit):
         assert numbers == sorted(numbers)
 
 
+def test_a_row_that_changes_its_place_keeps_the_focus(road, visit):
+    with visit(road.url) as page:
+        wait_for_vehicles(page)
+        parked = page.locator("#tracks tbody tr", has=page.locator("td.of-speed", has_text=re.compile("^0$")))
+        track_id = parked.get_attribute("data-track")
+        button = page.locator(f'#tracks tbody tr[data-track="{track_id}"] button')
+        button.focus()
+        page.evaluate(  # how often the row has been taken from its place
+            """(id) => {
+                window.moves = 0;
+                const row = document.querySelector(`#tracks tbody tr[data-track="${id}"]`);
+                new MutationObserver((changes) => {
+                    for (const { removedNodes } of changes) window.moves += [...removedNodes].includes(row);
+                }).observe(row.parentElement, { childList: true });
+            }""",
+            track_id,
+        )
+        page.wait_for_function("() => window.moves > 1")
+        expect(button).to_be_focused()
+
+
 def test_the_plan_zooms_pans_and_fits(road, visit):
     with visit(road.url) as page:
         wait_for_vehicles(page)
