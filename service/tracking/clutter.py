@@ -2,7 +2,7 @@
 
 The map holds, per cell of range and azimuth, how often a lone standing point was seen there lately. A vehicle
 that stands gives several points beside one another; a post gives exactly one, so only lone points are
-learned.
+learned, and those of a track that was found to be on a post.
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ class ClutterParameters:
     slow_mps: float = 1.3  # swaying foliage stays under this
     ignore_occupancy: float = 0.35  # a standing point in such a cell is not used
     no_birth_occupancy: float = 0.2  # a slow point in such a cell starts nothing
-    lone_range_m: float = 1.6  # two more standing points this near make none of them a post
-    lone_across_m: float = 2.5
+    lone_range_m: float = 1.6  # two more standing points so near make it none of a post, ...
+    lone_reach_m: float = 3.0  # ... as those of a vehicle seen from the side ...
+    lone_along_m: float = 3.2  # ... or end-on, from above: along the line of sight ...
+    lone_beside_m: float = 1.8  # ... and across it
     rail_reach_m: float = 6.0  # posts of a rail stand about 4 m apart
     range_max_m: float = 180.0
     azimuth_max_rad: float = math.radians(70.0)
@@ -99,9 +101,23 @@ def _sort(
         sorted_out[2, k] = speed < slow_mps and here > no_birth
 
 
+@part
+def _as_of_one_vehicle(points: F64, k: int, m: int, reach: tuple[float, ...]) -> bool:
+    """Return whether two points are no further apart than those of a vehicle seen from the side or end-on."""
+    range_m, reach_m, along_m, beside_m = reach
+    along = abs(points[m, PG] - points[k, PG])
+    if along > max(range_m, along_m):
+        return False  # nearly always
+    apart = math.hypot(points[m, PX] - points[k, PX], points[m, PY] - points[k, PY])
+    side_on = along < range_m and apart < reach_m
+    return side_on or (along < along_m and apart < math.hypot(along, beside_m))
+
+
 @kernel
-def _learn(occupancy: F32, points: F64, standing_mps: float, free: Bool, cells: tuple[float, ...],
-           lone_range_m: float, lone_across_m: float, gain: float, loss: float) -> F32:  # fmt: skip
+def _learn(
+    occupancy: F32, points: F64, free: Bool, post: Bool, cells: tuple[float, ...],
+    standing_mps: float, reach: tuple[float, ...], gain: float, loss: float,
+) -> F32:  # fmt: skip
     rows, columns = occupancy.shape
     out = np.empty_like(occupancy)
     keep, nothing = np.float32(1.0 - loss), np.float32(_NOTHING)
@@ -114,23 +130,20 @@ def _learn(occupancy: F32, points: F64, standing_mps: float, free: Bool, cells: 
     for k in range(n):
         standing[k] = abs(points[k, PV]) < standing_mps  # not where it is unknown
     for k in range(n):
-        if not (standing[k] and free[k]):
+        if not (standing[k] and (free[k] or post[k])):
             continue
         company = 0
         for m in range(n):
-            if m == k or not standing[m]:
-                continue
-            if abs(points[m, PG] - points[k, PG]) < lone_range_m:
-                across = math.hypot(points[m, PX] - points[k, PX], points[m, PY] - points[k, PY])
-                if across < math.hypot(lone_across_m, lone_range_m):
-                    company += 1
+            if m != k and standing[m] and _as_of_one_vehicle(points, k, m, reach):
+                company += 1
         i, j = cell_of(points, k, cells)
-        if company > 1 or i < 0 or j < 0 or i >= rows or j >= columns:
+        if (company > 1 and not post[k]) or i < 0 or j < 0 or i >= rows or j >= columns:
             continue
+        step = 1.0 if post[k] else gain
         for a in range(max(i - 1, 0), min(i + 2, rows)):
             for b in range(max(j - 1, 0), min(j + 2, columns)):
                 share = 1.0 if a == i and b == j else 0.5
-                out[a, b] += gain * share * (1.0 - out[a, b])
+                out[a, b] += step * share * (1.0 - out[a, b])
     return out
 
 
@@ -151,12 +164,18 @@ def sort_points(clutter: ClutterMap, points: F64, parameters: ClutterParameters)
     return found[0], found[1], found[2]
 
 
-def learn(clutter: ClutterMap, points: F64, free: Bool, parameters: ClutterParameters) -> ClutterMap:
-    """Return the map after one more frame; `free` (N,) marks points that no vehicle claims."""
+def learn(
+    clutter: ClutterMap, points: F64, free: Bool, post: Bool, parameters: ClutterParameters
+) -> ClutterMap:
+    """Return the map after one more frame.
+
+    free (N,) marks points that no vehicle claims, post (N,) those of a track that was found to be on a post.
+    """
     p = parameters
     return ClutterMap(
         _learn(
-            clutter.occupancy, points, p.standing_mps, free, _cells(p), p.lone_range_m, p.lone_across_m,
+            clutter.occupancy, points, free, post, _cells(p),
+            p.standing_mps, (p.lone_range_m, p.lone_reach_m, p.lone_along_m, p.lone_beside_m),
             1.0 / p.learn_frames, 1.0 / p.forget_frames,
         )
     )  # fmt: skip

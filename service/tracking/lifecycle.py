@@ -22,22 +22,23 @@ ECHO_GAIN = 0.01  # of the running mean echo of confirmed vehicles: some hundred
 
 def live(
     state: TrackerState, tracks: Tracks, a: Assignment, time_us: int, p: TrackerParameters
-) -> tuple[Tracks, float, int, I64]:
+) -> tuple[Tracks, float, int, I64, I64]:
     """Return the tracks that live on after a frame's association, the echo reference, and who ended.
 
-    That is how many did, and the numbers of those that were on posts.
+    That is how many did, the numbers of those that were on posts, and of those that were so beyond doubt.
     """
     if not len(tracks):
-        return tracks, state.echo_reference_db, 0, tracks.number
+        return tracks, state.echo_reference_db, 0, tracks.number, tracks.number
     hidden = existence.shadowed(tracks)
     tracks = existence.remember(tracks, a.measured, a.miss, time_us, hidden, p.existence)
-    around = _surroundings(state, tracks, hidden, time_us, p)
+    around, certain = _surroundings(state, tracks, hidden, time_us, p)
     status, over = existence.judge(tracks, around, time_us, hidden, state.echo_reference_db, p.existence)
     tracks = tracks.but(status=status)
     over |= _left_view(tracks, p)
     ended = int(np.count_nonzero(over))
     reference = _echo_reference(tracks, state.echo_reference_db, p)
-    return tracks.take(~over) if ended else tracks, reference, ended, tracks.number[around.post]
+    left = tracks.take(~over) if ended else tracks
+    return left, reference, ended, tracks.number[around.post], tracks.number[certain]
 
 
 def _left_view(tracks: Tracks, p: TrackerParameters) -> Bool:
@@ -74,19 +75,21 @@ def let_go(tracks: Tracks, time_us: int, p: TrackerParameters) -> tuple[Tracks, 
 
 def _surroundings(
     state: TrackerState, t: Tracks, hidden: Bool, time_us: int, p: TrackerParameters
-) -> Surroundings:
+) -> tuple[Surroundings, Bool]:
     count, _, _ = road_map.driven_at(state.road, t.x_m, t.y_m, p.road)
     known = count >= p.road.driven_tracks
     crept = creeping.seen(t, p.creeping)
     vouched = _vouched(state, t, known, p)
     mature = state.road.teachers >= p.road.mature_tracks  # before nobody knows where nobody drives
     evidence = Evidence(hidden, known if mature else np.ones_like(known), vouched, crept)
-    return Surroundings(
+    post, certain = on_posts(t, evidence, time_us, state.echo_reference_db, p.posts)
+    around = Surroundings(
         off_road=~known & mature & (np.hypot(t.x_m, t.y_m) < p.boxes.off_road_range_m),
         known_road=vouched | crept,
         behind_rail=_behind_rail(state, t, p),
-        post=on_posts(t, evidence, time_us, state.echo_reference_db, p.posts),
+        post=post,
     )
+    return around, certain
 
 
 def _vouched(state: TrackerState, t: Tracks, known: Bool, p: TrackerParameters) -> Bool:

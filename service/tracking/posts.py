@@ -32,16 +32,19 @@ class PostParameters:
     after_s: float = 1.0  # age from which a track may be found to be on a post
     travel_m: float = 15.0  # off the driven road: one that has not come further ...
     points: float = 1.8  # ... and gives fewer points
-    weak_db: float = 5.0  # anywhere: one whose echoes are so much weaker than those of vehicles ...
-    weak_points: float = 1.4
+    weak_db: float = 6.0  # anywhere: one whose echoes are so much weaker than those of vehicles ...
+    weak_points: float = 1.8
     unmoved_m: float = 8.0  # one that has never come further than from post to post ...
     unmoved_points: float = 3.1  # ... and gives no more points than three posts:
     alone_s: float = 2.0  # where nobody is known to have driven, from this age on ...
-    unmoved_s: float = 20.0  # ... or from this one, with a vehicle that certainly stands so near:
-    company_points: float = 2.6  # or of a vehicle in a row across the line of sight
+    unmoved_s: float = 20.0  # ... or from this one, with a vehicle that certainly stands so near, ...
     company_m: float = 25.0
-    through_m: float = 1.0  # anywhere, hidden or not, once a vehicle drives through, as near its middle ...
-    through_mps: float = 3.0  # ... as fast ...
+    company_points: float = 2.6  # ... or one in a row across the line of sight, ...
+    red_light_s: float = 240.0  # ... or from this one, with one that gives more than three posts
+    through_m: float = (
+        1.0  # anywhere, hidden or not, if it has come no nearer or further away than `unmoved_m`,
+    )
+    through_mps: float = 3.0  # once a vehicle drives through, as near its middle, as fast ...
     through_hits: int = 20  # ... and as certain to be one
 
 
@@ -54,14 +57,20 @@ class Evidence(NamedTuple):
     crept: Bool  # (T,) was seen to stop or to set off
 
 
-def on_posts(t: Tracks, seen: Evidence, time_us: int, echo_reference_db: float, p: PostParameters) -> Bool:
-    """Return which tracks (T,) are on posts."""
+def on_posts(
+    t: Tracks, seen: Evidence, time_us: int, echo_reference_db: float, p: PostParameters
+) -> tuple[Bool, Bool]:
+    """Return which tracks (T,) are on posts, and which of them are beyond doubt.
+
+    Those are what vehicles drive through, and what gives weaker echoes than vehicles.
+    """
     return _on_posts(
         t.mean, t.status, t.points_per_hit, t.echo_db < echo_reference_db - p.weak_db,
-        np.hypot(t.x_m - t.born_x_m, t.y_m - t.born_y_m), (time_us - t.born_us) / 1e6,
+        np.hypot(t.x_m - t.born_x_m, t.y_m - t.born_y_m),
+        np.abs(np.hypot(t.x_m, t.y_m) - np.hypot(t.born_x_m, t.born_y_m)), (time_us - t.born_us) / 1e6,
         seen.hidden, seen.driven, seen.known_road, seen.crept,
         (p.still_mps, p.after_s, p.travel_m, p.points, p.weak_points, p.unmoved_m, p.unmoved_points,
-         p.alone_s, p.unmoved_s, p.company_points, p.company_m),
+         p.alone_s, p.unmoved_s, p.red_light_s, p.company_points, p.company_m),
         _driven_through(
             t.mean, t.heading_rad, t.length_m, t.empty == 0, t.status, t.hits,
             (p.through_m, p.through_mps, float(p.through_hits)),
@@ -71,25 +80,26 @@ def on_posts(t: Tracks, seen: Evidence, time_us: int, echo_reference_db: float, 
 
 @kernel
 def _on_posts(
-    mean: F64, status: U8, points: F64, weak: Bool, travel: F64, age_s: F64, hidden: Bool, driven: Bool,
-    known_road: Bool, crept: Bool, q: tuple[float, ...], through: Bool,
-) -> Bool:  # fmt: skip
-    still, after, most, few, weak_few, unmoved, unmoved_few, alone_s, unmoved_s, sure, company = q
-    out = np.zeros(len(points), np.bool_)
+    mean: F64, status: U8, points: F64, weak: Bool, travel: F64, nearer: F64, age_s: F64, hidden: Bool,
+    driven: Bool, known_road: Bool, crept: Bool, q: tuple[float, ...], through: Bool,
+) -> tuple[Bool, Bool]:  # fmt: skip
+    still, after, most, few, weak_few, unmoved, unmoved_few, alone_s, unmoved_s, red_s, row, company = q
+    out, certain = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     for i in range(len(points)):
         speed = math.hypot(mean[i, 1], mean[i, 4])
         if speed >= still or crept[i] or travel[i] >= most or age_s[i] <= after:
             continue
         unmoved_here = points[i] < unmoved_few and travel[i] < unmoved
-        out[i] = unmoved_here and through[i]
+        certain[i] = points[i] < unmoved_few and nearer[i] < unmoved and through[i]
+        certain[i] |= not hidden[i] and points[i] < weak_few and weak[i]
+        out[i] = certain[i]
         if hidden[i]:
             continue
         out[i] |= points[i] < few and not driven[i]
-        out[i] |= points[i] < weak_few and weak[i]
         if unmoved_here and not known_road[i] and age_s[i] > alone_s:
-            queue = (still, sure, company)
-            out[i] |= age_s[i] > unmoved_s or not _in_company(i, mean, status, points, crept, queue)
-    return out
+            queue = (still, unmoved_few if age_s[i] > unmoved_s else row, company)
+            out[i] |= age_s[i] > red_s or not _in_company(i, mean, status, points, crept, queue)
+    return out, certain
 
 
 @kernel

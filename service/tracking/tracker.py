@@ -99,7 +99,8 @@ def step(
     )
     free = ~window.owned
     free[new:] &= ~no_birth
-    tracks, reference, ended, on_posts = lifecycle.live(state, tracks, assignment, frame.time_us, p)
+    numbers = np.append(tracks.number, -1)  # the owner -1 is the last
+    tracks, reference, ended, on_posts, posts = lifecycle.live(state, tracks, assignment, frame.time_us, p)
     tracks, drop = merge(tracks, p.merging)
     merged = int(np.count_nonzero(drop))
     watch("existence")
@@ -123,7 +124,10 @@ def step(
         before = before.take(~np.isin(before.number, np.concatenate((dropped, on_posts))))
     at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
-    clutter = clutter_map.learn(state.clutter, seen, unclaimed, p.clutter)
+    post = np.zeros(len(seen), dtype=np.bool_)
+    if len(posts):
+        post[usable] = np.isin(numbers[assignment.owner], posts)
+    clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, p.clutter)
     watch("clutter")
     state = TrackerState(
         tracks=tracks, window=window,

@@ -29,13 +29,19 @@ def standing(*, aside_m=0.0, points=1.0, age_s=8.0, moved_m=0.0, speed_mps=0.0, 
     )  # fmt: skip
 
 
-def is_post(track, *others, hidden=False, driven=False, known_road=False, crept=False, reference_db=0.0):
-    """Return whether the first track is on a post, with others about it."""
+def judged(track, *others, hidden=False, driven=False, known_road=False, crept=False, reference_db=0.0):
+    """Return whether the first track is on a post, with others about it, and whether beyond doubt."""
     tracks = track
     for other in others:
         tracks = tracks.join(other)
     seen = Evidence(*(np.full(len(tracks), told) for told in (hidden, driven, known_road, crept)))
-    return bool(on_posts(tracks, seen, NOW_US, reference_db, P)[0])
+    found, certain = on_posts(tracks, seen, NOW_US, reference_db, P)
+    return bool(found[0]), bool(certain[0])
+
+
+def is_post(track, *others, **told):
+    """Return whether the first track is on a post, with others about it."""
+    return judged(track, *others, **told)[0]
 
 
 def test_what_gives_few_points_where_nobody_drives_is_a_post():
@@ -56,7 +62,8 @@ def test_what_was_seen_to_stop_is_no_post():
 
 
 @pytest.mark.parametrize(
-    ("echo_db", "points", "post"), [(14.0, 1.0, True), (16.0, 1.0, False), (14.0, 1.5, False)]
+    ("echo_db", "points", "post"),
+    [(13.0, 1.0, True), (13.0, 1.7, True), (15.0, 1.0, False), (13.0, 1.9, False)],
 )
 def test_on_a_driven_road_the_echo_tells_a_post(echo_db, points, post):
     assert is_post(standing(echo_db=echo_db, points=points), reference_db=20.0, **DRIVEN) == post
@@ -84,6 +91,8 @@ def test_a_vehicle_drives_through_nothing_but_posts():
     assert is_post(standing(points=3.0), passing(), **on_the_road)
     assert not is_post(standing(points=3.2), passing(), **on_the_road)
     assert not is_post(standing(points=3.0, moved_m=9.0), passing(), **on_the_road)
+    slid = standing(points=3.0).but(born_x_m=np.array([-10.0]))  # onto it, across the line of sight
+    assert is_post(slid, passing(), **on_the_road)
     assert not is_post(standing(points=3.0), passing(), crept=True, **on_the_road)
 
 
@@ -104,9 +113,26 @@ def test_nothing_else_drives_through(other):
     assert not is_post(standing(points=3.0), other, hidden=True, **DRIVEN)
 
 
-@pytest.mark.parametrize("company", [5.0, 2.7])
-@pytest.mark.parametrize(("age_s", "post"), [(19.0, False), (21.0, True)])
-def test_near_a_vehicle_that_stands_it_has_longer_to_move(age_s, post, company):
+@pytest.mark.parametrize(
+    ("told", "certain"),
+    [
+        (judged(standing(), reference_db=20.0, **DRIVEN), True),
+        (judged(standing(points=3.0), passing(), hidden=True, **DRIVEN), True),
+        (judged(standing(moved_m=10.0)), False),
+        (judged(standing(points=3.0, age_s=3.0), driven=True), False),
+    ],
+    ids=["weak", "driven through", "few points", "never moved"],
+)
+def test_only_what_no_vehicle_can_do_is_beyond_doubt(told, certain):
+    assert told == (True, certain)
+
+
+@pytest.mark.parametrize(
+    ("company", "age_s", "post"),
+    [(5.0, 180.0, False), (5.0, 250.0, True), (2.7, 19.0, False), (2.7, 21.0, True), (3.0, 21.0, True)],
+    ids=["a red light", "longer", "in a row", "for longer", "posts, too"],
+)
+def test_near_a_vehicle_that_stands_it_has_longer_to_move(company, age_s, post):
     queue = standing(aside_m=20.0, points=company)
     assert is_post(standing(points=3.0, age_s=age_s), queue, driven=True) == post
 
@@ -114,7 +140,7 @@ def test_near_a_vehicle_that_stands_it_has_longer_to_move(age_s, post, company):
 def test_one_that_was_seen_to_stop_is_company_whatever_it_gives():
     tracks = standing(points=3.0).join(standing(aside_m=20.0, points=1.0))
     seen = Evidence(*(np.array(told) for told in ([False] * 2, [True] * 2, [False] * 2, [False, True])))
-    assert not on_posts(tracks, seen, NOW_US, 0.0, P).any()
+    assert not on_posts(tracks, seen, NOW_US, 0.0, P)[0].any()
 
 
 @pytest.mark.parametrize(

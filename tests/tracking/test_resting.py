@@ -426,7 +426,7 @@ def test_what_stands_where_a_hidden_vehicle_is_awaited_is_no_post():
     still[:, [1, 4]] = 0.0
     seen = seen.but(mean=still, points_per_hit=np.full(3, 2.0), born_x_m=seen.x_m, born_y_m=seen.y_m)
     nowhere = np.zeros(len(seen), dtype=np.bool_)
-    around = lifecycle._surroundings(state, seen, nowhere, seen.born_us[0] + 3_000_000, p)
+    around, _ = lifecycle._surroundings(state, seen, nowhere, seen.born_us[0] + 3_000_000, p)
 
     assert around.known_road.tolist() == [True, False, False]  # a confirmed track need not be vouched for
     assert around.post.tolist() == [False, True, True]

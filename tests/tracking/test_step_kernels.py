@@ -144,22 +144,62 @@ def test_what_looks_like_a_mirror_image_waits_until_a_ghost_would_be_gone(rng, a
     assert (found.tolist(), over.tolist()) == ([status], [False])
 
 
-def test_the_map_learns_lone_standing_points_and_forgets_without_subnormal_numbers(rng):
-    p = ClutterParameters()
-    table = np.zeros((3, 8))
-    table[:, PX], table[:, PY], table[:, PV] = [3.0, -20.0, 8.0], [60.0, 90.0, 40.0], [0.0, 0.1, 5.0]
+def standing_points(x, y, rate=0.0):
+    """Return points (N, POINT_COLUMNS) that stand at these places."""
+    table = np.zeros((len(x), 8))
+    table[:, PX], table[:, PY], table[:, PV] = x, y, rate
     table[:, PG] = np.hypot(table[:, PX], table[:, PY])
-    clutter, everywhere = clutter_map.empty_map(p), np.ones(3, dtype=np.bool_)
-    for _ in range(100):
-        clutter = clutter_map.learn(clutter, table, everywhere, p)
-    occupancy = clutter_map.occupancy_at(clutter, table, p)
-    faint = clutter_map.ClutterMap(np.full_like(clutter.occupancy, 1e-20))
+    return table
 
-    forgotten = clutter_map.learn(faint, table[:0], everywhere[:0], p)
 
-    assert (occupancy[:2] > 0.85).all()
-    assert occupancy[2] == 0.0
-    assert not forgotten.occupancy.any()
+def learned(table, frames=100, *, clutter=None, post=False):
+    """Return the map after so many frames of these points, which nobody claims."""
+    p = ClutterParameters()
+    clutter, free = clutter or clutter_map.empty_map(p), np.ones(len(table), dtype=np.bool_)
+    for _ in range(frames):
+        clutter = clutter_map.learn(clutter, table, free, free & post, p)
+    return clutter
+
+
+def occupancy(clutter, table):
+    return clutter_map.occupancy_at(clutter, table, ClutterParameters())
+
+
+def test_the_map_learns_lone_standing_points_and_forgets_without_subnormal_numbers():
+    table = standing_points([3.0, -20.0, 8.0], [60.0, 90.0, 40.0], [0.0, 0.1, 5.0])
+    known = learned(table)
+    faint = clutter_map.ClutterMap(np.full_like(known.occupancy, 1e-20))
+
+    assert (occupancy(known, table)[:2] > 0.85).all()
+    assert occupancy(known, table)[2] == 0.0
+    assert not learned(table[:0], 1, clutter=faint).occupancy.any()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "post"),
+    [
+        ([0.0, 0.5, -0.5, 0.2], [80.0, 82.6, 82.2, 84.8], False),
+        ([0.0, 1.4, 2.7, 1.5], [80.0, 80.2, 80.1, 80.9], False),
+        ([-6.0, -6.0, -6.0, -6.0], [78.0, 82.0, 86.0, 90.0], True),
+        ([-50.0, -47.2, -44.4, -41.6], [50.0, 52.8, 55.6, 58.4], True),
+        ([0.0, 0.2, 5.0], [80.0, 81.0, 80.0], True),
+    ],
+    ids=["a car end-on", "a car from the side", "a rail ahead", "a rail across", "two"],
+)
+def test_points_as_of_a_vehicle_teach_no_clutter(x, y, post):
+    table = standing_points(np.array(x), np.array(y))
+    assert (occupancy(learned(table), table) > 0.5).all() == post
+    assert (occupancy(learned(table), table) == 0.0).all() == (not post)
+
+
+def test_a_post_that_had_a_track_is_known_at_once_and_forgotten_where_there_is_none():
+    posts = standing_points([0.0, 0.3, 0.6], [80.0, 81.0, 82.0])
+    known, p = learned(posts, 1, post=True), ClutterParameters()
+    other = standing_points([30.0], [50.0])
+
+    assert (occupancy(known, posts) == 1.0).all()
+    assert (occupancy(learned(posts, round(2 * p.forget_frames), clutter=known), posts) < 0.2).all()
+    assert (occupancy(learned(other, round(2 * p.forget_frames), clutter=known), posts) < 0.2).all()
 
 
 def test_points_are_sorted_by_speed_and_by_what_the_map_knows():

@@ -200,6 +200,21 @@ def test_the_number_of_a_post_does_not_rest(rng):
     assert len(state.resting.number) == 0
 
 
+def test_a_post_that_had_a_track_gets_no_other(rng):
+    x, y = np.array([-6.0, -6.0, -6.0]), np.array([60.0, 61.2, 62.4])
+    frames = []
+    for k in range(400):
+        posts = detections(rng, x, y, np.zeros(3), np.zeros(3), 14.0)[rng.random(3) < 0.5]
+        frames.append(frame(k, posts, vehicle(rng, 5.0, 140.0 - 0.75 * (k % 150), 0.0, -15.0, points=4)))
+    p = TrackerParameters()
+    loose = dataclasses.replace(p.birth, standing_points_per_frame=1.0)
+
+    _, outputs = run(frames, dataclasses.replace(p, birth=loose))
+
+    on_posts = {int(n) for e in outputs for n, at in zip(e.number, e.x_m, strict=True) if at < -3.0}
+    assert len(on_posts) == 1
+
+
 def test_a_car_seen_to_stop_where_nobody_has_driven_is_no_post(rng):
     y, v, frames = 125.0, -3.0, []
     for k in range(400):
