@@ -40,7 +40,8 @@ class AssignmentParameters:
     hold_s: float = 0.4  # ... for so long ...
     travel_m: float = 2.0  # ... and so much of its way: a standing vehicle changes no lane
     settle_s: float = 0.25  # before, the lane of a new track is a guess, and another lane only a better one
-    outside_m: float = 0.9  # beyond its half width a lane holds a vehicle so much longer
+    enter_m: float = 0.3  # beyond its half width a lane takes in a vehicle ...
+    outside_m: float = 0.9  # ... and holds one
     angle_deg: float = 40.0  # a vehicle at a larger angle to a lane only crosses it
     against_m: float = 1.0  # that a lane of the other direction must be nearer
 
@@ -83,7 +84,8 @@ def _prolonged(lane: F64) -> F64:
 
 REACH_M = 6.0  # beyond the middle of any lane nothing belongs to it
 PROLONGED_M = 12.0  # so far beyond its ends a lane goes on where there is no other
-_PROLONGED_COST_M = 5.0  # ... and any other is nearer
+_PROLONGED_COST_M = 5.0  # ... and any other is nearer, ...
+_PROLONGED_SHARE = 0.5  # ... and so much of its width is known to be of it: nothing was learned there
 
 
 def assign(  # noqa: PLR0913, PLR0917 - the state, the frame, the map
@@ -151,7 +153,7 @@ def _judged(  # noqa: PLR0913, PLR0917 - likewise
     whole, real = np.empty((len(slot), 6), dtype=np.int64), np.empty((len(slot), 2))
     count = _judge(
         slot, time_us, *rows, vehicles.whole, vehicles.real, chart.index, chart.first, chart.point, chart.box,
-        (p.past_boundary_m, p.past_boundary_stds, p.travel_m, p.outside_m,
+        (p.past_boundary_m, p.past_boundary_stds, p.travel_m, p.enter_m, p.outside_m,
          math.cos(math.radians(p.angle_deg)), p.against_m),
         (int(1e6 * p.hold_s), int(1e6 * p.settle_s)),
         lane, whole, real,
@@ -196,11 +198,11 @@ def _offset(  # noqa: PLR0913, PLR0917 - numbers of one kernel
     cosine = (math.sin(heading) * ex + math.cos(heading) * ey) / math.hypot(ex, ey)
     if abs(cosine) < least_cos:
         return -1.0, -1.0, 0.0
-    distance = math.sqrt(best)
+    distance, half = math.sqrt(best), point[where, 2]
     cost = distance + (against if cosine < 0.0 else 0.0)
     if where == first or where == last - 2:
-        cost += _PROLONGED_COST_M
-    return distance, cost, point[where, 2]
+        cost, half = cost + _PROLONGED_COST_M, half * _PROLONGED_SHARE
+    return distance, cost, half
 
 
 @kernel
@@ -209,7 +211,7 @@ def _judge(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917 - one pass over th
     first: I64, point: F64, box: F64, limits: tuple[float, ...], waits: tuple[int, int], lane_out: U8,
     change_whole: I64, change_real: F64,
 ) -> int:  # fmt: skip
-    past_m, past_stds, travel_m, outside_m, least_cos, against = limits
+    past_m, past_stds, travel_m, enter_m, outside_m, least_cos, against = limits
     hold_us, settle_us = waits
     changes = 0
     for r in range(len(slot)):
@@ -224,7 +226,8 @@ def _judge(  # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917 - one pass over th
                 continue
             if index[k] == mine:
                 held, mine_off, mine_half, ended = k, off, half, cost >= _PROLONGED_COST_M
-            if off <= half + outside_m and cost < best_cost:
+            reach = half + (outside_m if index[k] == mine else enter_m)
+            if off <= reach and cost < best_cost:
                 best, best_cost = k, cost
         lost = best < 0 and mine_off > mine_half + outside_m
         if held < 0 or lost or (ended and best >= 0 and best != held):

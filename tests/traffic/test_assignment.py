@@ -129,6 +129,21 @@ def test_beside_the_road_there_is_no_lane():
     assert set(follow(TWO, np.full(60, 4.0))[0]) == {2}
 
 
+def test_a_lane_holds_a_vehicle_further_out_than_it_takes_one_in():
+    outside = 1.75 + 0.6  # beyond its half width: as a vehicle of a lane that is not learned yet
+    assert set(follow(TWO, np.full(60, -outside))[0]) == {0}
+    assert set(follow(TWO, np.full(60, -1.75 - 0.2))[0]) == {1}
+    assert set(follow(TWO, ramp(1.0, 2.0, to_m=-outside))[0]) == {1}
+
+
+@pytest.mark.parametrize(("y_m", "backwards"), [(14.0, False), (157.0, False), (14.0, True), (157.0, True)])
+def test_beyond_its_ends_a_lane_is_narrow(y_m, backwards):
+    chart, y = road(lane(1, 0.0, backwards=backwards)), np.full(10, y_m)
+    assert set(follow(chart, np.full(10, 1.0), y_m=y)[0]) == {1}
+    assert set(follow(chart, np.full(10, 1.4), y_m=y)[0]) == {0}
+    assert set(follow(chart, np.full(10, 1.4), y_m=y + 10.0 * np.sign(80.0 - y_m))[0]) == {1}
+
+
 def test_who_crosses_a_lane_is_not_in_it():
     now = estimates([1, 2], [0.1, 0.1], [60, 60], [12, 0], [0, 12])
     vehicles = aligned(no_vehicles(), now.number)
