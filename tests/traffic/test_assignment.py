@@ -136,6 +136,16 @@ def test_a_lane_holds_a_vehicle_further_out_than_it_takes_one_in():
     assert set(follow(TWO, ramp(1.0, 2.0, to_m=-outside))[0]) == {1}
 
 
+def test_who_drives_beside_its_lane_does_not_go_over_into_one_that_has_ended():
+    chart, x = road(lane(1, 0.0), lane(2, 3.5, end_m=72.0)), ramp(0.3, 0.5, to_m=2.4, total_s=2.0)
+    y = 73.0 + 5.0 * FRAME_US / 1e6 * np.arange(len(x))
+
+    lanes, changes = follow(chart, x, y_m=y, speed_mps=5.0)
+
+    assert set(lanes) == {1}
+    assert changes == []
+
+
 @pytest.mark.parametrize(("y_m", "backwards"), [(14.0, False), (157.0, False), (14.0, True), (157.0, True)])
 def test_beyond_its_ends_a_lane_is_narrow(y_m, backwards):
     chart, y = road(lane(1, 0.0, backwards=backwards)), np.full(10, y_m)
