@@ -100,7 +100,7 @@ def step(
     free = ~window.owned
     free[new:] &= ~no_birth
     numbers = np.append(tracks.number, -1)  # the owner -1 is the last
-    tracks, reference, ended, on_posts, posts = lifecycle.live(state, tracks, assignment, frame.time_us, p)
+    tracks, reference, ended, on_posts, certain = lifecycle.live(state, tracks, assignment, frame.time_us, p)
     tracks, drop = merge(tracks, p.merging)
     merged = int(np.count_nonzero(drop))
     watch("existence")
@@ -125,8 +125,8 @@ def step(
     at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
     post = np.zeros(len(seen), dtype=np.bool_)
-    if len(posts):
-        post[usable] = np.isin(numbers[assignment.owner], posts)
+    if len(certain):
+        post[usable] = np.isin(numbers[assignment.owner], certain)
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, p.clutter)
     watch("clutter")
     state = TrackerState(
