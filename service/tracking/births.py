@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.tracking.boxes import PG, PV, PVAR_AZ, PVAR_R, PWEIGHT, PX, PY
+from service.tracking.end_on_rows import lanes_end_on
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
+from service.tracking.row_direction import direction_across
 from service.tracking.row_kernels import best_box, chains
-from service.tracking.standing_rows import RowParameters, Stood, direction_across, mostly, stand, thin
+from service.tracking.standing_rows import RowParameters, Stood, mostly, stand, thin
 
 VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
 ROW = 14  # columns of a row of Births ...
@@ -212,10 +214,10 @@ def standing_births(
     on_road, along = driven[first], road_heading_rad[first]
     group = chains(x, y, p.standing_along_m)
     left = np.bincount(group, times)[group] >= p.standing_cluster_points
-    side_on, inside = _side_on(x, y, times, frames, on_road, along, p)
-    rows += side_on
+    in_rows, inside = _in_rows(x, y, times, frames, on_road, along, p)
+    rows += in_rows
     left &= ~inside
-    for _ in range(MAX_STANDING_BOXES - len(side_on)):
+    for _ in range(MAX_STANDING_BOXES - len(in_rows)):
         if left.sum() < 2:
             break
         seed = int(np.argmax(np.where(left, times, 0)))
@@ -230,10 +232,10 @@ def standing_births(
     return rows
 
 
-def _side_on(
+def _in_rows(
     x: F64, y: F64, times: F64, frames: int, on_road: Bool, road_heading_rad: F64, p: BirthParameters
 ) -> tuple[list[F64], Bool]:
-    """Return rows of Births' floats for vehicles in rows seen from the side, and their places (N,)."""
+    """Return rows of Births' floats for vehicles in rows, side-on or end-on, and their places (N,)."""
     rows: list[F64] = []
     inside = np.zeros(len(x), np.bool_)
     block = chains(x, y, p.rows.reach_m)
@@ -244,19 +246,27 @@ def _side_on(
         least = p.driven_points_per_frame if driven else p.row_points_per_frame
         if n.sum() < least * frames:
             continue
-        heading = direction_across(u, v, n, frames, known, road_heading_rad[mine], p.rows)
+        along = road_heading_rad[mine]
+        heading = direction_across(u, v, n, frames, known, along, p.rows)
         if heading is None:
-            continue
-        found, of_vehicle = stand(u, v, n, frames, heading, p.length_m, p.rows)
+            least = p.driven_points_per_frame if driven else p.standing_points_per_frame
+            lanes = lanes_end_on(u, v, n, frames, known, along, p.length_m, p.rows)
+            lanes = [(f, places) for f, places in lanes if f.rate >= least]
+            found, of_vehicle = [f for f, _ in lanes], np.zeros(len(u), np.bool_)
+            for _, places in lanes:  # what gives too few points may be a part of another box
+                of_vehicle |= places
+        else:
+            found, of_vehicle = stand(u, v, n, frames, heading, p.length_m, p.rows)
         inside[mine[of_vehicle]] = True
-        rows += [standing_row(f, driven, p) for f in found if f.rate >= least]
+        told = driven or heading is None  # lanes seen end-on have a direction that range tells
+        rows += [standing_row(f, told, p) for f in found if f.rate >= least]
     rows.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return rows[:MAX_STANDING_BOXES], inside
 
 
-def standing_row(f: Stood, driven: bool, p: BirthParameters) -> F64:
-    """Return the row of Births' floats of a vehicle that stands in a row."""
-    heading_std_rad = p.road_heading_std_rad if driven else p.row_heading_std_rad
+def standing_row(f: Stood, told: bool, p: BirthParameters) -> F64:
+    """Return the row of Births' floats of a vehicle that stands in a row; told: so is the row's direction."""
+    heading_std_rad = p.road_heading_std_rad if told else p.row_heading_std_rad
     return np.array([
         f.x_m, f.y_m, f.heading_rad, *_AT_REST, f.rate, f.extent_m, f.length_m, 1.0, heading_std_rad**2,
     ])  # fmt: skip

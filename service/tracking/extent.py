@@ -49,7 +49,8 @@ class ExtentParameters:
     wander_radius_m: float = 20.0  # vehicles turn this sharply as a rule, for about a second
     wander_accel_mps2: float = 2.0  # ... and pull this much sideways
     one_way_std_rad: float = 0.35  # a vehicle further off the road's direction is turning
-    settled_std_rad: float = 0.25  # a heading better known than this cannot be the wrong way round
+    settled_std_rad: float = 0.25  # a heading better known than this cannot be the wrong way round, ...
+    guess_m: float = 8.0  # ... unless the vehicle was born standing and has come no further than this
     turn_radius_m: float = 6.0  # no vehicle turns more sharply ...
     turn_accel_mps2: float = 5.0  # ... or pulls more than this sideways
     sideways_std_mps: float = 0.4  # how far a vehicle may move sideways to its heading ...
@@ -130,8 +131,9 @@ def learn(
     )  # fmt: skip
     goes = np.empty(len(heading), dtype=np.bool_)
     _goes(heading, one_way, road_heading, math.cos(p.one_way_std_rad), goes)
+    guess = tracks.standing & (tracks.come_m < p.guess_m)  # which way it stood was a guess
     _turn(
-        mean, cov, heading, heading_var, turn_rate, pivot, dt_s,
+        mean, cov, heading, heading_var, turn_rate, pivot, guess, dt_s,
         (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
          p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
@@ -266,10 +268,9 @@ def _follow_row(
             continue
         error = measured[i, M_TURN]
         aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
+        # as it lies, or as its points say: a turn is seen end-on at first
         side_on = min(abs(math.cos(aspect)), abs(math.cos(aspect + error))) <= end_on
-        if (
-            not side_on or abs(error) > gate
-        ):  # as it lies, or as its points say: a turn is seen end-on at first
+        if not side_on or abs(error) > gate:
             continue
         gain = heading_var[i] / (heading_var[i] + memory * measured[i, M_VAR_TURN])
         heading_var[i] = max((1.0 - gain) * heading_var[i], min(bias, heading_var[i]))
@@ -282,14 +283,14 @@ def _follow_row(
 
 @kernel
 def _turn(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, pivot: F64, dt_s: float,
-    turning: tuple[float, ...],
+    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, pivot: F64, guess: Bool,
+    dt_s: float, turning: tuple[float, ...],
 ) -> None:  # fmt: skip
     """Turn boxes towards their velocity, about the middle of their points, in place.
 
     The heading is a state of its own, a random walk as wide as a vehicle of that speed turns, measured by the
     direction of the velocity. Once it is settled it turns no faster than a vehicle can (its wheels bound
-    the curvature, its tyres the sideways acceleration), and never over.
+    the curvature, its tyres the sideways acceleration), and never over unless it is a guess.
     """
     above, certainty, memory, radius, accel, settled, radius_min, accel_max, rate_gain = turning
     for i in range(len(heading)):
@@ -304,10 +305,9 @@ def _turn(
         error = (math.atan2(vx, vy) - before + math.pi) % (2.0 * math.pi) - math.pi
         sure = heading_var[i] < settled
         if abs(error) > 0.5 * math.pi:
-            if sure:
+            if sure and not guess[i]:
                 continue
-            # a first guess that was the wrong way round is turned over at once: the box is the same either
-            # way
+            # a first guess that was the wrong way round is turned over at once: the box is the same
             before += math.pi
             arm = -arm
             error -= math.copysign(math.pi, error)

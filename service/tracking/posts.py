@@ -65,7 +65,7 @@ def on_posts(
     """
     return _on_posts(
         t.mean, t.status, t.points_per_hit, t.echo_db < echo_reference_db - p.weak_db,
-        np.hypot(t.x_m - t.born_x_m, t.y_m - t.born_y_m),
+        t.come_m,
         np.abs(np.hypot(t.x_m, t.y_m) - np.hypot(t.born_x_m, t.born_y_m)), (time_us - t.born_us) / 1e6,
         seen.hidden, seen.driven, seen.known_road, seen.crept,
         (p.still_mps, p.after_s, p.travel_m, p.points, p.weak_points, p.unmoved_m, p.unmoved_points,

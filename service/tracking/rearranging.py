@@ -17,8 +17,9 @@ import numpy as np
 
 from service.tracking.births import MAX_STANDING_BOXES, ROW_POINTS, BirthParameters, standing_row
 from service.tracking.model import F64, I64, Bool
+from service.tracking.row_direction import direction_across
 from service.tracking.row_kernels import chains
-from service.tracking.standing_rows import Stood, direction_across, mostly, stand, thin
+from service.tracking.standing_rows import Stood, mostly, stand, thin
 from service.tracking.state import Tracks
 
 
@@ -235,7 +236,7 @@ def _settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of t
         on[i] = onto
         boxes.put(i, found[onto], birth, p)
         others = [k for k in others if found[k] not in sure]  # its own box goes onto it, or it starts a track
-        boxes.born += [standing_row(found[k], driven=driven, p=birth) for k in others]
+        boxes.born += [standing_row(found[k], told=driven, p=birth) for k in others]
         free -= {onto, *others}
     _unite(boxes, which, {k: f for k, f in enumerate(found) if f in sure}, on, birth, p)
     _drop(boxes, which, found, on, birth, p)
@@ -243,7 +244,7 @@ def _settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of t
     stay = [i for i in np.flatnonzero(tracks.confirmed).tolist() if i not in boxes.gone]
     for k in sorted(free):
         if found[k].rate >= least and not any(_touch(now, i, found[k], birth, p) for i in stay):
-            boxes.born.append(standing_row(found[k], driven=driven, p=birth))
+            boxes.born.append(standing_row(found[k], told=driven, p=birth))
 
 
 def _unite(  # noqa: PLR0913, PLR0917 - as for `_settle`
@@ -291,7 +292,7 @@ def _drop(  # noqa: PLR0913, PLR0917 - as for `_settle`
 def _movable(t: Tracks, p: RearrangingParameters) -> I64:
     """Return which confirmed tracks stand where they were born and are seen from the side, or are young."""
     still = t.confirmed & (t.speed_mps < p.still_mps)
-    still &= np.hypot(t.x_m - t.born_x_m, t.y_m - t.born_y_m) < p.travel_m
+    still &= t.come_m < p.travel_m
     end_on = np.abs(np.cos(t.heading_rad - np.arctan2(t.x_m, t.y_m)))
     return np.flatnonzero(still & ((end_on < p.side_on_cosine) | (t.hits < p.young_hits)))
 

@@ -3,8 +3,7 @@
 Vehicles seen end-on differ in range. Those of a row across the line of sight have one range, and stand out
 from the next row by decimetres of it, but along their row only azimuth tells them apart: at 90 m its noise is
 half a metre a point, and two cars stand 2 m apart. So a row is parted as a whole: into those vehicles and
-gaps under which its points are likeliest, given how long vehicles are. Whether rows lie across at all is
-decided the same way, against rows along the line of sight.
+gaps under which its points are likeliest, given how long vehicles are.
 """
 
 from __future__ import annotations
@@ -16,11 +15,9 @@ import numpy as np
 
 from service.tracking.boxes import PX, PY
 from service.tracking.model import F64, I64, Bool
-from service.tracking.row_kernels import log_length_density, nearest_face, part_row, sharpest
+from service.tracking.row_kernels import nearest_face, part_row
 
 _PLACE_M = 0.3  # echoes of one scatterer lie this near to one another
-_STEP_RAD = math.radians(3.0)
-_LIKE_LOS_RAD = _STEP_RAD * np.arange(-6.0, 7.0)  # rows turned no more are seen end-on
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +44,15 @@ class RowParameters:
     turn_rad: float = math.radians(30.0)  # from across the line of sight, of a row seen side-on at most
     long_m: float = 5.4  # what seems shorter is a car as far as anybody can tell
     face_to_centre_m: float = 1.2  # of a car, from where the slice of its side begins
+    piece_m: float = 24.0  # of a road seen end-on, which may bend ...
+    piece_margin_m: float = 10.0  # ... with so much on either side of it
+    lane_m: float = 2.4  # width that holds most of the points of a lane's vehicles ...
+    lane_beside_m: float = 0.35  # ... and the rest up to here beside it
+    lane_leak: float = 0.05  # as leak, where range tells
+    hollow_m: float = 2.5  # what has a longer gap in it is of several posts
+    lane_rate: float = 2.0  # points a frame of the vehicles that tell an unknown lane's direction ...
+    lane_vehicles: int = 2  # ... and how many it takes
+    both_sides_m: float = 1.2  # what is wider is seen from side to side
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,29 +85,6 @@ def mostly(driven: Bool) -> bool:
     return bool(2 * np.count_nonzero(driven) > len(driven))
 
 
-def direction_across(  # noqa: PLR0913, PLR0917 - places, and what is known of the road there
-    x: F64, y: F64, times: F64, frames: int, driven: Bool, road_heading_rad: F64, p: RowParameters
-) -> float | None:
-    """Return the heading [rad] of rows that lie across the line of sight, None where there are none.
-
-    times (N,): points that each place stands for, of `frames` frames. Where most places are on a driven road
-    (N,) its heading (N,) tells; elsewhere rows across must explain the places better than rows along do.
-    """
-    los = math.atan2(float(x.mean()), float(y.mean()))
-    if mostly(driven):
-        heading = float(road_heading_rad[int(np.argmax(np.where(driven, times, 0.0)))])
-        return heading if abs(math.cos(heading - los)) <= math.sin(p.turn_rad) else None
-    most = round(p.turn_rad / _STEP_RAD)
-    turned = los + 0.5 * math.pi + _STEP_RAD * np.arange(-most, most + 1.0)
-    across = float(turned[sharpest(x, y, times, turned)])
-    likelihood = _explained(x, y, times, frames, across, p)
-    along = los + _LIKE_LOS_RAD
-    for heading in (los, float(along[sharpest(x, y, times, along)])):
-        if _explained(x, y, times, frames, heading, p) >= likelihood - p.across_nats:
-            return None
-    return across
-
-
 def stand(  # noqa: PLR0913, PLR0917 - as for `direction_across`
     x: F64, y: F64, times: F64, frames: int, heading_rad: float, car_length_m: float, p: RowParameters
 ) -> tuple[list[Stood], Bool]:
@@ -109,9 +92,9 @@ def stand(  # noqa: PLR0913, PLR0917 - as for `direction_across`
 
     times (N,): points that each place stands for, of `frames` frames; car_length_m: of what may be a car.
     """
-    u, depth, away = _turned(x, y, heading_rad)
+    u, depth, away = turned(x, y, heading_rad)
     s, c = math.sin(heading_rad), math.cos(heading_rad)
-    found, inside = _vehicles(u, depth, times, _range_m(x, y), p)
+    found, inside = vehicles_across(u, depth, times, range_to(x, y), p)
     out = []
     for begin, end, near, count in found.tolist():
         length = end - begin if end - begin >= p.long_m else car_length_m
@@ -121,18 +104,19 @@ def stand(  # noqa: PLR0913, PLR0917 - as for `direction_across`
     return out, inside
 
 
-def _turned(x: F64, y: F64, heading_rad: float) -> tuple[F64, F64, float]:
+def turned(x: F64, y: F64, heading_rad: float) -> tuple[F64, F64, float]:
     """Return how far along a heading places lie, and how far away across it; -1: that is to its left."""
     s, c = math.sin(heading_rad), math.cos(heading_rad)
     away = 1.0 if c * float(x.mean()) - s * float(y.mean()) > 0.0 else -1.0
     return s * x + c * y, away * (c * x - s * y), away
 
 
-def _range_m(x: F64, y: F64) -> float:
+def range_to(x: F64, y: F64) -> float:
+    """Return how far away the middle of places (N,) is."""
     return math.hypot(float(x.mean()), float(y.mean()))
 
 
-def _vehicles(u: F64, depth: F64, times: F64, range_m: float, p: RowParameters) -> tuple[F64, Bool]:
+def vehicles_across(u: F64, depth: F64, times: F64, range_m: float, p: RowParameters) -> tuple[F64, Bool]:
     """Return a row (K, 4) for each vehicle, and which places (N,) belong to one.
 
     u, depth (N,): places along the rows and away from the radar, which is `range_m` from them. A vehicle: its
@@ -157,27 +141,3 @@ def _vehicles(u: F64, depth: F64, times: F64, range_m: float, p: RowParameters) 
                 (u >= begin - 0.5) & (u < end + 0.5) & (depth >= near - 1.0) & (depth < near + p.beside_m)
             )
     return np.array(found).reshape(-1, 4), inside
-
-
-def _explained(  # noqa: PLR0913, PLR0917 - as for `direction_across`
-    x: F64, y: F64, times: F64, frames: int, heading_rad: float, p: RowParameters
-) -> float:
-    """Return the log-likelihood of rows in that direction.
-
-    In a vehicle of a row points are as dense as there are; the others lie anywhere.
-    """
-    u, depth, _ = _turned(x, y, heading_rad)
-    found, _ = _vehicles(u, depth, times, _range_m(x, y), p)
-    told = min(p.told_share, p.told_frames / max(frames, 1))
-    rest, total = np.ones(len(x), np.bool_), 0.0
-    for begin, end, near, _ in found.tolist():
-        mine = rest & (u >= begin - p.before_m) & (u < end + p.before_m)
-        mine &= (depth >= near - p.before_m) & (depth < near + p.depth_m)
-        rest &= ~mine
-        count = float(times[mine].sum())
-        if count > 0.0:
-            total += told * count * math.log(count / ((end - begin) * (p.before_m + p.depth_m)))
-            total += log_length_density(end - begin) - p.vehicle_nats
-    area = (float(np.ptp(u)) + 2.0) * (float(np.ptp(depth)) + 2.0)
-    anywhere = max(0.02, 0.1 * float(times.sum()) / area)
-    return total + told * float(times[rest].sum()) * math.log(anywhere)

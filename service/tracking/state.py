@@ -92,6 +92,11 @@ class Tracks:
         return np.hypot(self.mean[:, 1], self.mean[:, 4])
 
     @property
+    def come_m(self) -> F64:
+        """Distance from where they were born, (T,)."""
+        return np.hypot(self.x_m - self.born_x_m, self.y_m - self.born_y_m)
+
+    @property
     def confirmed(self) -> Bool:
         """Which tracks are confirmed or coasting."""
         return np.asarray(self.status != _TENTATIVE)

@@ -40,3 +40,20 @@ def end_on(points):
     out[:, PX], out[:, PY] = points[:, PY] - 80.0, 80.0 + points[:, PX]
     out[:, PG] = np.hypot(out[:, PX], out[:, PY])
     return out
+
+
+def queue_of(*vehicles, rate=5.0, seed=3, azimuth_std_rad=0.005, width_m=1.8):
+    """Return the points of FRAMES frames of vehicles (x, y, length) that face the radar, in lanes along y.
+
+    Two fifths lie on the face, the others all along the roof and the sides.
+    """
+    rng, rows = np.random.default_rng(seed), []
+    for x, y, length in vehicles:
+        n = rng.poisson(rate * FRAMES * length / 4.4)
+        along = np.where(rng.random(n) < 0.4, 0.0, np.linspace(0.0, length, n))
+        across = rng.uniform(-0.5 * width_m, 0.5 * width_m, n) + rng.normal(0.0, azimuth_std_rad * y, n)
+        rows.append(np.column_stack([x + across, y - 0.5 * length + along + rng.normal(0.0, 0.1, n)]))
+    places = np.concatenate(rows)
+    points = np.zeros((len(places), POINT_COLUMNS))
+    points[:, [PX, PY]], points[:, PG] = places, np.hypot(*places.T)
+    return points

@@ -79,6 +79,14 @@ def test_a_settled_box_is_not_turned_over_and_a_guess_is():
     assert abs(guess.heading_rad[0]) == pytest.approx(math.pi, abs=1e-6)
 
 
+@pytest.mark.parametrize(("come_m", "over"), [(2.0, True), (12.0, False)])
+def test_what_was_born_standing_is_turned_over_when_it_drives_off_the_other_way(come_m, over):
+    track = one_track(vy=-3.0)
+    standing = track.but(standing=np.array([True]), born_y_m=track.y_m + come_m, born_x_m=track.x_m.copy())
+
+    assert math.cos(learn(standing).heading_rad[0]) == pytest.approx(-1.0 if over else 1.0, abs=1e-6)
+
+
 def test_an_unknown_heading_follows_the_velocity_at_once():
     turned = learn(one_track(vx=6.0, vy=6.0, heading_std_rad=0.8))
 

@@ -8,6 +8,7 @@ import pytest
 from service.tracking import births, standing_rows
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import POINT_COLUMNS, PX, PY
+from service.tracking.row_direction import direction_across
 from service.tracking.row_kernels import chains, part_row
 from service.tracking.standing_rows import RowParameters
 from tests.tracking.standing_points import FRAMES, end_on, points_of, turned
@@ -19,7 +20,7 @@ ACROSS_RAD = np.pi / 2
 def direction(points, *, driven=False, road_rad=0.0):
     x, y, times, _ = standing_rows.thin(points)
     road = np.full(len(x), road_rad)
-    return standing_rows.direction_across(x, y, times, FRAMES, np.full(len(x), driven), road, P)
+    return direction_across(x, y, times, FRAMES, np.full(len(x), driven), road, P)
 
 
 def stood(points, heading_rad=ACROSS_RAD):
