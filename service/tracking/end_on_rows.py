@@ -21,7 +21,7 @@ STEP_RAD = math.radians(3.0)
 LIKE_LOS_RAD = STEP_RAD * np.arange(-6.0, 7.0)  # rows turned no more are seen end-on
 
 
-def lanes_end_on(  # noqa: PLR0913, PLR0917 - as above
+def lanes_end_on(  # noqa: PLR0913, PLR0917 - places, and what is known of the road there
     x: F64, y: F64, times: F64, frames: int, driven: Bool, road_heading_rad: F64, car_length_m: float,
     p: RowParameters,
 ) -> list[tuple[Stood, Bool]]:  # fmt: skip
@@ -57,7 +57,7 @@ def lanes_end_on(  # noqa: PLR0913, PLR0917 - as above
     return out
 
 
-def _heading(  # noqa: PLR0913, PLR0917 - as above
+def _heading(  # noqa: PLR0913, PLR0917 - as for `lanes_end_on`
     x: F64, y: F64, times: F64, driven: Bool, road_heading_rad: F64, p: RowParameters
 ) -> tuple[float | None, bool]:
     """Return the direction in which a piece of road is driven, None for none, and whether it was told."""
@@ -81,7 +81,7 @@ def _this_way(f: Stood, mine: Bool, times: F64, driven: Bool, road_heading_rad: 
     return replace(f, heading_rad=f.heading_rad + math.pi) if math.cos(heading - f.heading_rad) < 0.0 else f
 
 
-def _lanes(  # noqa: PLR0913, PLR0917 - as above
+def _lanes(  # noqa: PLR0913, PLR0917 - as for `lanes_end_on`
     x: F64, y: F64, times: F64, frames: int, heading_rad: float, car_length_m: float, p: RowParameters
 ) -> list[tuple[Stood, Bool]]:
     """Return the vehicles of one piece of road, each with the places (N,) that are its own."""
