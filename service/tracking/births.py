@@ -17,6 +17,7 @@ from service.tracking.standing_rows import RowParameters, Stood, mostly, stand, 
 
 VEHICLE_POINT_STD_M = 0.8  # of the places of a vehicle's echoes about their mean, across the line of sight
 ROW = 14  # columns of a row of Births ...
+ROW_X, ROW_Y = 0, 1  # ... those of the centre
 ROW_POINTS = 9  # ... the one of the points in this frame, or a frame
 # velocity of what stands, and standard deviations of place [m] and velocity [m/s] along and across the view
 _AT_REST = (0.0, 0.0, 0.6, 0.6, 0.3, 0.5)

@@ -25,8 +25,8 @@ from service.tracking.existence import ExistenceParameters
 from service.tracking.extent import ExtentParameters
 from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
+from service.tracking.moved_boxes import RearrangingParameters
 from service.tracking.posts import PostParameters
-from service.tracking.rearranging import RearrangingParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters

@@ -7,44 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.tracking import births, rearranging, tracker
-from service.tracking.births import BirthParameters
+from service.tracking import rearranging, tracker
 from service.tracking.model import Frame, TrackStatus
 from service.tracking.parameters import TrackerParameters
-from service.tracking.rearranging import RearrangingParameters, rearrange
-from service.tracking.state import Tracks, no_tracks
+from service.tracking.rearranging import RearrangingParameters
+from service.tracking.state import no_tracks
 from service.tracking.tracker import coast, initial_state
-from tests.tracking.standing_points import FRAMES, end_on, points_of
+from tests.tracking.standing_boxes import ACROSS_RAD, boxes, put_right
+from tests.tracking.standing_points import end_on, points_of
 
-ACROSS_RAD = np.pi / 2
 ROW = (-29.4, 90.0, 4.4), (-23.0, 90.0, 4.4), (-16.6, 90.0, 4.4)
-
-
-def boxes(*places, heading_rad=ACROSS_RAD, length_m=4.4, **columns):
-    """Return confirmed tracks that have stood at places (x, y) since they were born, numbered from 5."""
-    n, empty = len(places), no_tracks(0)
-    blank = Tracks(
-        *(
-            np.zeros((n, *column.shape[1:]), column.dtype)
-            for column in (getattr(empty, field.name) for field in dataclasses.fields(empty))
-        )
-    )
-    x, y = np.array(places, dtype=np.float64).reshape(-1, 2).T.copy()
-    mean = np.zeros((n, 6))
-    mean[:, 0], mean[:, 3] = x, y
-    given = {
-        "mean": mean, "cov": np.tile(0.1 * np.eye(6), (n, 1, 1)), "number": 5 + np.arange(n),
-        "hits": np.full(n, 100), "status": np.full(n, TrackStatus.CONFIRMED, np.uint8),
-        "heading_rad": np.full(n, heading_rad), "length_m": np.full(n, length_m),
-        "width_m": np.full(n, 1.9), "born_x_m": x, "born_y_m": y, "extent_m": np.full((n, 30), 5.0),
-    }  # fmt: skip
-    return blank.but(**(given | columns))
-
-
-def put_right(tracks, points, parameters=None):
-    nowhere, p = np.zeros(len(points), np.bool_), parameters or RearrangingParameters()
-    after, rows = rearrange(tracks, points, FRAMES, nowhere, np.zeros(len(points)), BirthParameters(), p)
-    return after, births.gather(rows)
 
 
 def all_places(after, new):
@@ -282,7 +254,7 @@ def test_a_car_whose_points_its_neighbours_claim_starts_a_track():
 @pytest.mark.parametrize(
     "columns",
     [
-        {"born_x_m": np.array([-40.0])},  # it has come here, and was seen moving
+        {"born_x_m": np.array([-27.0])},  # it has come here, and was seen moving
         {"status": np.array([TrackStatus.TENTATIVE], np.uint8)},
         {"heading_rad": np.array([0.2])},  # seen end-on, for longer than a box may lie any way
     ],
@@ -306,7 +278,7 @@ def test_a_box_that_moves_is_not_moved():
 
 def test_a_queue_seen_end_on_is_left_alone():
     queue = points_of((-6.4, 78.0, 4.4), (0.0, 78.0, 4.4), (6.4, 78.0, 4.4))
-    before = boxes((-2.0, 77.0), heading_rad=0.0, length_m=10.5, hits=np.array([20]))
+    before = boxes((-2.0, 73.6), (-2.0, 80.0), (-2.0, 86.4), heading_rad=0.0, hits=np.array([20, 20, 20]))
 
     after, new = put_right(before, end_on(queue))
 
