@@ -44,7 +44,7 @@ from service.simulation.scene_files import write_scene
 from service.simulation.trajectories import read_trajectories
 from service.tracking import tracker
 from service.tracking.model import Frame, MotionState, TrackEstimates
-from service.traffic import monitor
+from service.traffic import closing, monitor
 from service.traffic.curves import beside
 from service.traffic.model import Lane, LaneChange, LaneMap, Moment
 from service.traffic.parameters import traffic_setup
@@ -93,7 +93,8 @@ def run(frames: Iterable[Frame], config: SensorConfig) -> Run:
         state, estimates, _ = tracker.coast(state, time_us, parameters)
         traffic, _, out = monitor.step(traffic, Moment(time_us, moment.frame, tick=True), estimates, setup)
         found.changes += out.changes
-    found.live, found.map = traffic.map, monitor.whole_map(traffic, setup)
+    found.live, found.map = traffic.map, closing.whole_map(traffic, setup)
+    found.changes += closing.told_by(found.map, traffic, time_us, setup).changes
     return found
 
 

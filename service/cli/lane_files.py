@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import orjson
 
@@ -14,20 +14,18 @@ from service.formats.lanes import lane_fields, lanes_geojson
 
 if TYPE_CHECKING:
     from service.formats.sensor import SensorConfig
-    from service.pipeline.fold_state import FoldState
     from service.storage.rows import LaneChangeRow
+    from service.traffic.model import LaneMap
 
 
-def write_lanes(folder: Path, config: SensorConfig, end: FoldState[Any]) -> dict[str, object]:
+def write_lanes(folder: Path, config: SensorConfig, lane_map: LaneMap) -> dict[str, object]:
     """Write lanes.json and lanes.geojson; return counts.
 
-    They hold the map that the whole recording tells of. The lanes in tracks.jsonl are of the map that was in
-    force at the time, which had seen less; a lane has the same number in both.
+    lane_map: what the whole recording tells of. The lanes in tracks.jsonl are of the map that was in force at
+    the time, which had seen less; a lane has the same number in both.
     """
     from service.pipeline.traffic_rows import lane_record
-    from service.traffic.monitor import whole_map
 
-    lane_map = whole_map(end.traffic, end.setup)
     lanes = [lane_record(lane) for lane in lane_map.lanes]
     names = config.lanes.names
     fields = [lane_fields(lane, names) | {"points": [list(p) for p in lane.points_m]} for lane in lanes]
@@ -35,7 +33,7 @@ def write_lanes(folder: Path, config: SensorConfig, end: FoldState[Any]) -> dict
     turns = [lane for lane in fields if lane["kind"] == "turn"]
     content = {
         "sensor_id": config.sensor_id,
-        "from_version": end.traffic.map.version,
+        "from_version": lane_map.version,
         "vehicles": lane_map.vehicles,
         "lanes": through,
         "turns": turns,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from service.formats.sensor import SensorConfig
-    from service.pipeline.fold_state import FoldOutput, FoldState
+    from service.pipeline.fold_state import FoldState
     from service.storage.rows import EventRow, LaneChangeRow, TrackKey, TrackSummary
     from service.tracking.model import Frame
 
@@ -45,20 +45,16 @@ def track(
     as_json: options.Json = False,
 ) -> None:
     """Track recorded frames and write what was found into a folder."""
-    from service.cli.lane_files import write_lanes
     from service.cli.results import written_together
     from service.cli.site_file import read_site
     from service.formats.json_frames import read_frames
-    from service.pipeline.offline import fold_frames
     from service.traffic.parameters import traffic_setup
 
     config = read_site(site, filter_name, settings or (), profile)
     begun_s = time.monotonic()
     with written_together(out, FILES, force=force) as folder, progress(wanted=show) as bar:
         counted = _Counted(read_frames(frames, config), bar, frames)
-        ends: list[FoldState[Any]] = []
-        tally = _write(folder, config, fold_frames(counted, config, at_end=ends.append))
-        tally |= write_lanes(folder, config, ends[0])
+        tally = _write(folder, config, counted)
         summary = provenance(config.tracker_parameters()) | {"sensor_id": config.sensor_id}
         summary["traffic_digest"] = traffic_setup(config).parameters.digest()
         summary |= counted.summary() | tally | {"elapsed_s": round(time.monotonic() - begun_s, 3)}
@@ -101,11 +97,13 @@ class _Counted:
         }
 
 
-def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) -> dict[str, object]:
-    """Write the lines of every frame as it is folded, then the tracks; return the counts."""
+def _write(folder: Path, config: SensorConfig, frames: Iterable[Frame]) -> dict[str, object]:
+    """Write the lines of every frame as it is folded, then what the end tells; return the counts."""
     from service.api.track_schemas import EventReply, track_fields
-    from service.cli.lane_files import change_lines
+    from service.cli.lane_files import change_lines, write_lanes
     from service.formats.tracks import frame_line
+    from service.pipeline.fold import at_an_end
+    from service.pipeline.offline import fold_frames
 
     tracks: dict[TrackKey, TrackSummary] = {}
     fates: Counter[str] = Counter()
@@ -113,8 +111,9 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
     changes: list[LaneChangeRow] = []
     events: list[EventRow] = []
     counts = CountFiles(config)
+    ends: list[FoldState[Any]] = []
     with (folder / "tracks.jsonl").open("wb") as lines:
-        for output in outputs:
+        for output in fold_frames(frames, config, at_end=ends.append):
             epoch += output.restarted is not None
             fates[output.fate.value] += 1
             missing += output.missing
@@ -126,20 +125,27 @@ def _write(folder: Path, config: SensorConfig, outputs: Iterable[FoldOutput]) ->
                 states += len(scan.estimates)
                 line = frame_line(config.sensor_id, epoch, scan.number, scan.time_us, scan.estimates)
                 lines.write(line + b"\n")
+    lane_map, late = at_an_end(ends[0])
+    changes += late.lane_changes
+    counts.add(late)
     with (folder / "track_summaries.jsonl").open("wb") as lines:
         for key in sorted(tracks, key=lambda key: (key.epoch, key.number)):
             lines.write(orjson.dumps(track_fields(tracks[key])) + b"\n")
     (folder / "changes.jsonl").write_bytes(change_lines(changes))
     told = [EventReply.of(event).model_dump_json() + "\n" for event in events]
     (folder / "events.jsonl").write_text("".join(told))
-    return {
-        "tracks": len(tracks),
-        "lane_changes": len(changes),
-        "states": states,
-        "missing_frames": missing,
-        "duplicate_frames": fates["duplicate"],
-        "late_frames": fates["late"],
-        "conflicting_frames": fates["conflict"],
-        "restarts": epoch - 1,
-        "events": len(events),
-    } | counts.write(folder)
+    return (
+        {
+            "tracks": len(tracks),
+            "lane_changes": len(changes),
+            "states": states,
+            "missing_frames": missing,
+            "duplicate_frames": fates["duplicate"],
+            "late_frames": fates["late"],
+            "conflicting_frames": fates["conflict"],
+            "restarts": epoch - 1,
+            "events": len(events),
+        }
+        | counts.write(folder)
+        | write_lanes(folder, config, lane_map)
+    )

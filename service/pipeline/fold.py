@@ -18,7 +18,8 @@ from service.pipeline.records import ControlRecord, DamagedRecord, FrameRecord, 
 from service.pipeline.traffic_rows import traffic_rows
 from service.storage.rows import EventRow, Rows, merge_rows
 from service.tracking.model import TrackEstimates
-from service.traffic import monitor
+from service.traffic import closing, monitor
+from service.traffic.model import LaneMap
 from service.traffic.model import Moment as TrafficMoment
 from service.traffic.parameters import traffic_setup
 
@@ -230,3 +231,11 @@ def _begin_anew(state: FoldState[S], out: _Output, tracker: Tracker[S]) -> FoldS
 def _moment(state: FoldState[S], time_us: int) -> Moment:
     bounds_m = state.setup.config.length_bounds_m
     return Moment(state.sensor_id, state.epoch, state.position, time_us, bounds_m)
+
+
+def at_an_end(state: FoldState[S]) -> tuple[LaneMap, Rows]:
+    """Return the lanes that a whole recording tells of, and the rows that are others by them."""
+    time_us = state.order.newest_us or 0
+    lanes = closing.whole_map(state.traffic, state.setup)
+    found = closing.told_by(lanes, state.traffic, time_us, state.setup)
+    return lanes, traffic_rows(found, _moment(state, time_us), state.events)[0]

@@ -30,7 +30,8 @@ _NEAR_CAP_M = 6.0  # farther vehicles do not matter
 class ChangeParameters:
     """When a change of lanes is told."""
 
-    least_probability: float = 0.7  # that it was one
+    least_probability: float = 0.7  # that it was one ...
+    least_at_end: float = 0.85  # ... and by the map of a whole recording, which nothing has confirmed
     wait_s: float = 2.0  # after the boundary: what follows shows whether it was one
 
 

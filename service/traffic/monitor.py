@@ -22,7 +22,6 @@ from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, 
 from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
-from service.traffic.steps import at_once
 from service.traffic.vehicles import AHEAD_COLUMNS, MOTION_COLUMNS, Vehicles, aligned, no_vehicles, parted
 
 
@@ -94,17 +93,6 @@ def last_words(state: TrafficState) -> Outputs:
     return Outputs(counts=report(state.counts))
 
 
-def whole_map(state: TrafficState, setup: TrafficSetup) -> LaneMap:
-    """Return the map that all evidence up to now tells of: for the end of a recording."""
-    p, mapping = setup.parameters, state.mapping
-    identity = replace(p.identity, confidence=p.identity.confidence_at_end)
-    p = replace(p, identity=identity)
-    if mapping.given_key or len(mapping.evidence.paths) < p.mapping.paths_min:
-        return mapping.map
-    lanes = at_once(lane_mapping.lanes_in_steps(mapping.evidence, mapping.map.lanes, mapping.gone, p))
-    return replace(mapping.map, vehicles=len(mapping.evidence.paths), lanes=lanes)
-
-
 def _map_in_force(
     state: TrafficState, moment: Moment, setup: TrafficSetup
 ) -> tuple[TrafficState, LaneMap | None, tuple[LaneChange, ...], tuple[LaneChange, ...]]:
@@ -124,13 +112,16 @@ def _map_in_force(
     state = replace(state, chart=chart_of(mapping.map))
     if mapping.map.source != "learned" or not before.backlog:
         return state, mapping.map, (), ()
-    return _trace_back(state, before, moment.time_us, setup.parameters)
+    return trace_back(state, before, moment.time_us, setup.parameters)
 
 
-def _trace_back(
+def trace_back(
     state: TrafficState, before: Mapping, now_us: int, p: TrafficParameters
 ) -> tuple[TrafficState, LaneMap, tuple[LaneChange, ...], tuple[LaneChange, ...]]:
-    """Judge by a new map what was seen before it: vehicles that have gone, and those still there."""
+    """Judge by the map of the state what was seen before it: vehicles that have gone, and those still there.
+
+    Returns the state, its map, the changes of lanes of the former, and those of the latter, to be judged.
+    """
     gone = join(tuple(path.samples for path in before.backlog))
     past = join((state.paths.past, *state.paths.recent))
     version = state.map.version

@@ -75,6 +75,26 @@ def test_a_recording_in_two_files_is_one_recording(run, tracked, scene, tmp_path
     assert (tmp_path / "joined" / "tracks.jsonl").read_bytes() == (tracked / "tracks.jsonl").read_bytes()
 
 
+def test_a_recording_too_short_for_a_live_map_has_lanes_in_its_crossings_and_changes(run, tmp_path):
+    simulated, out = tmp_path / "dense", tmp_path / "out"
+    run("simulate", "dense", "--duration", "15", "--seed", "3", "--out", simulated)
+
+    run("track", simulated / "frames.jsonl.gz", "--site", simulated / "site.json", "--out", out)
+
+    lanes = json.loads((out / "lanes.json").read_text())
+    crossings, changes = records(out / "crossings.jsonl"), records(out / "changes.jsonl")
+    named = {lane["lane_id"] for lane in lanes["lanes"]}
+    assert lanes["from_version"] == 0
+    assert len(named) == 3
+    assert {crossing["lane_id"] for crossing in crossings} == named
+    assert {crossing["lane_map_version"] for crossing in crossings} == {1}
+    assert changes
+    assert {change["from_lane"] for change in changes} <= named
+    by_lane = {row["lane_id"] for row in records(out / "flow.jsonl") if row["n"]}
+    assert named <= by_lane
+    assert json.loads((out / "summary.json").read_text())["lane_changes"] == len(changes)
+
+
 def test_another_filter_is_another_set_of_parameters(run, tracked, scene, tmp_path):
     result = run(
         "track", scene / "frames.jsonl.gz", "--site", scene / "site.json", "--out", tmp_path / "ekf",

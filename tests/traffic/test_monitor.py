@@ -8,7 +8,7 @@ import pytest
 from service.formats.sensor import GivenLane, LaneControl, SensorConfig
 from service.tracking import snapshot
 from service.tracking.model import TrackEstimates
-from service.traffic import monitor
+from service.traffic import closing, monitor
 from service.traffic.mapping import lanes_in_steps
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
@@ -280,7 +280,7 @@ def test_the_map_of_a_whole_recording_has_the_lanes_that_few_drove_in():
     live = at_once(lanes_in_steps(gathered.evidence, (), (), p))
 
     state = dataclasses.replace(monitor.initial_state(), mapping=gathered)
-    whole = monitor.whole_map(state, SETUP)
+    whole = closing.whole_map(state, SETUP)
 
     assert len(live) < 3
     assert [round(float(np.mean(lane.points_m[:, 0])) / 3.6) for lane in whole.lanes] in (
