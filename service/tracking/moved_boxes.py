@@ -41,9 +41,7 @@ class RearrangingParameters:
     touch_along_m: float = 1.0  # boxes that overlap no more than this do not stand in one place
     touch_across_m: float = 0.3
     moved_std_m: float = 0.3
-    slid_m: float = (
-        10.0  # a box in a lane seen end-on may have slid so far, across the view, when it was born
-    )
+    slid_m: float = 10.0  # what has come further is not moved in a lane, either: what is born wrong slides
     lane_askew_rad: float = 0.4  # a box lies along such a lane if it is turned no more ...
     lane_beside_m: float = 1.1  # ... and on a vehicle of it if its centre is no further across
     gain_nats: float = 2.0  # of the likelihood of the points that a box moved in a lane must gain
