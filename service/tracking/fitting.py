@@ -49,6 +49,7 @@ def fit_to_sensor(p: TrackerParameters) -> TrackerParameters:
             same_speed_mps=p.merging.same_speed_mps * in_rate,
             piece_dv_mps=p.merging.piece_dv_mps * in_rate,
         ),
+        tandem=replace(p.tandem, like_mps=p.tandem.like_mps * in_rate),
     )
 
 

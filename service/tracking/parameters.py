@@ -31,6 +31,7 @@ from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
 from service.tracking.splitting import SplittingParameters
+from service.tracking.tandem import TandemParameters
 
 T = TypeVar("T")
 
@@ -114,6 +115,7 @@ class TrackerParameters:
     posts: PostParameters = field(default_factory=PostParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)
     merging: MergingParameters = field(default_factory=MergingParameters)
+    tandem: TandemParameters = field(default_factory=TandemParameters)
     splitting: SplittingParameters = field(default_factory=SplittingParameters)
     rearranging: RearrangingParameters = field(default_factory=RearrangingParameters)
     resting: RestingParameters = field(default_factory=RestingParameters)

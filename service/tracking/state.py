@@ -202,6 +202,21 @@ def none_resting() -> Resting:
 
 
 @dataclass(frozen=True, slots=True)
+class Tandems:
+    """K pairs of tracks that drive as one vehicle would."""
+
+    ahead: I64  # (K,) number
+    behind: I64  # (K,) number
+    frames: I64  # (K,) in a row in which they have done so
+
+
+def no_tandems() -> Tandems:
+    """Return zero pairs."""
+    i = np.zeros(0, dtype=np.int64)
+    return Tandems(i, i, i)
+
+
+@dataclass(frozen=True, slots=True)
 class TrackerState:
     """All that the next step needs to know of the past."""
 
@@ -219,6 +234,7 @@ class TrackerState:
     echo_reference_db: float  # running mean echo of confirmed vehicles
     trails: TrailBook  # where the tracks were measured lately, for the FIR recovery
     resting: Resting
+    tandems: Tandems
 
     @property
     def idle(self) -> bool:

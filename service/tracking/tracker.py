@@ -29,7 +29,16 @@ from service.tracking.rearranging import rearrange
 from service.tracking.recovering import Seen, recover
 from service.tracking.recovery import TrailBook, no_book
 from service.tracking.starting import driven_way, find_births, start
-from service.tracking.state import TrackerState, Tracks, Window, empty_window, no_tracks, none_resting
+from service.tracking.state import (
+    TrackerState,
+    Tracks,
+    Window,
+    empty_window,
+    no_tandems,
+    no_tracks,
+    none_resting,
+)  # fmt: skip
+from service.tracking.tandem import pairs_now, unite
 from service.tracking.teaching import teach_road
 
 _TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
@@ -57,7 +66,7 @@ def initial_state(parameters: TrackerParameters | None = None) -> TrackerState:
         clutter=clutter_map.empty_map(p.clutter), road=road_map.empty_road_map(p.road), filter="",
         next_number=1, frames=0, time_us=0,
         range_seen_min_m=p.sensor.range_min_m, echo_reference_db=0.0, trails=no_book(),
-        resting=none_resting(),
+        resting=none_resting(), tandems=no_tandems(),
     )  # fmt: skip
 
 
@@ -101,7 +110,10 @@ def step(
     free[new:] &= ~no_birth
     numbers = np.append(tracks.number, -1)  # the owner -1 is the last
     tracks, reference, ended, on_posts, certain = lifecycle.live(state, tracks, assignment, frame.time_us, p)
-    tracks, drop = merge(tracks, p.merging)
+    tandems = pairs_now(state.tandems, tracks, p.tandem)
+    tracks, half = unite(tandems, tracks, p.tandem, p.extent)
+    halves = tracks.number[half]
+    tracks, drop = merge(tracks.take(~half) if len(halves) else tracks, p.merging)
     merged = int(np.count_nonzero(drop))
     watch("existence")
     state = replace(
@@ -120,8 +132,9 @@ def step(
     state, born, dropped = _put_right(state, born, frame.time_us, p)
     tracks = start(state, bank, born, frame.time_us, p)
     view = (p.sensor.range_min_m, p.sensor.range_max_m, p.sensor.azimuth_max_rad)
-    if len(dropped) or len(on_posts):  # neither a second box nor a post is a vehicle lost
-        before = before.take(~np.isin(before.number, np.concatenate((dropped, on_posts))))
+    no_loss = np.concatenate((dropped, on_posts, halves))  # neither a second box nor a post is a vehicle lost
+    if len(no_loss):
+        before = before.take(~np.isin(before.number, no_loss))
     at_rest, tracks = resting.settle(state.resting, before, tracks, frame.time_us, view, p.resting)
     watch("births")
     post = np.zeros(len(seen), dtype=np.bool_)
@@ -136,7 +149,7 @@ def step(
         clutter=clutter, road=state.road, filter=state.filter, next_number=state.next_number + len(born),
         frames=state.frames + 1, time_us=frame.time_us,
         range_seen_min_m=min(state.range_seen_min_m, float(points[:, PG].min(initial=1e9))),
-        echo_reference_db=reference, trails=trails, resting=at_rest,
+        echo_reference_db=reference, trails=trails, resting=at_rest, tandems=tandems,
     )  # fmt: skip
     state = teach_road(state, p)
     report = StepReport(
@@ -147,7 +160,7 @@ def step(
         components=assignment.components,
         approximated=assignment.approximated,
         born=len(born),
-        deleted=ended + merged + len(dropped),
+        deleted=ended + merged + len(dropped) + len(halves),
     )
     found = estimates(state.tracks)
     watch("memory")
@@ -168,7 +181,11 @@ def coast(
         state, tracks=tracks, time_us=time_us, window=empty_window(), standing_window=empty_window(),
         resting=resting.expire(state.resting, time_us, p.resting),
     )  # fmt: skip
-    return replace(state, frame_times_us=(), trails=no_book()), estimates(tracks), StepReport(deleted=ended)
+    return (
+        replace(state, frame_times_us=(), trails=no_book(), tandems=no_tandems()),
+        estimates(tracks),
+        StepReport(deleted=ended),
+    )
 
 
 def estimates(tracks: Tracks) -> TrackEstimates:
