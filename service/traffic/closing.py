@@ -45,7 +45,7 @@ def told_by(lanes: LaneMap, state: TrafficState, now_us: int, setup: TrafficSetu
     p = replace(p, changes=replace(p.changes, least_probability=p.changes.least_at_end))
     ruler = ruler_of(lanes, p.counting.cell_m)
     _, blocks, _ = relabelled(counts.blocks, counts.leaders, counts.lines, ruler, p.counting)
-    if not before.backlog:
+    if not lane_mapping.young(before, p.mapping):
         return Outputs(counts=Counts(blocks=blocks))
     as_if = replace(state, mapping=replace(before, map=lanes), chart=chart_of(lanes))
     traced, _, gone, coming = trace_back(as_if, before, now_us, p)

@@ -20,6 +20,7 @@ from service.traffic.evidence import Evidence, EvidenceParameters, add, latest, 
 from service.traffic.identity import IdentityParameters, difference, gone_with, named
 from service.traffic.learning import LearningParameters, learn
 from service.traffic.model import NO_MAP, Lane, LaneChange, LaneDrift, LaneMap, Moment, Trajectory
+from service.traffic.paths import Paths, so_far
 from service.traffic.steps import Progress, Steps
 
 
@@ -42,6 +43,11 @@ class MappingParameters:
 
 class Learning(Protocol):
     """The parameters that tell what is learned from evidence."""
+
+    @property
+    def evidence(self) -> EvidenceParameters:
+        """Which paths tell of lanes."""
+        ...
 
     @property
     def learning(self) -> LearningParameters:
@@ -71,7 +77,8 @@ class Mapping:
     drift: Drift
     frames: int  # folded
     slot: int  # of the schedule in which lanes were last looked for; -1: look at once
-    learned_paths: int  # had come when lanes were last learned
+    learned_paths: int  # had come when lanes were last learned ...
+    learned_points: int  # ... from so many points, those of vehicles in view too
     given_key: int  # of the user's lanes that were put into force, 0: none
     coming: tuple[Lane, ...] | None  # of the epoch before, for the first frame of this one
     study: Study | None
@@ -104,14 +111,20 @@ _UNDER_WAY: WeakKeyDictionary[Study, Progress[tuple[Lane, ...] | None]] = WeakKe
 
 def no_mapping() -> Mapping:
     """Return the state before the first frame."""
-    return Mapping(NO_MAP, (), no_evidence(), (), (), no_drift(), 0, -1, 0, 0, None, None)
+    return Mapping(NO_MAP, (), no_evidence(), (), (), no_drift(), 0, -1, 0, 0, 0, None, None)
+
+
+def young(mapping: Mapping, p: MappingParameters) -> bool:
+    """Return whether lanes rest on few paths: then the past is judged again by each new map."""
+    return len(mapping.evidence.paths) < p.young_paths
 
 
 def begun_anew(mapping: Mapping) -> Mapping:
     """Return the state at the start of a new epoch: the same lanes come into force with its first frame."""
     fresh = replace(no_mapping(), gone=mapping.gone, evidence=mapping.evidence, drift=mapping.drift)
     if mapping.map.lanes:
-        return replace(fresh, coming=mapping.map.lanes, learned_paths=mapping.learned_paths)
+        fresh = replace(fresh, learned_paths=mapping.learned_paths, learned_points=mapping.learned_points)
+        return replace(fresh, coming=mapping.map.lanes)
     return replace(fresh, coming=mapping.coming)
 
 
@@ -147,7 +160,10 @@ def _study(mapping: Mapping, study: Study, moment: Moment, p: Learning) -> Mappi
         return mapping
     lanes = progress.answer()
     mapping = replace(mapping, study=None)
-    return mapping if lanes is None else _in_force(mapping, moment, lanes, "learned")
+    if lanes is None:
+        return mapping
+    mapping = _in_force(mapping, moment, lanes, "learned")
+    return replace(mapping, map=replace(mapping.map, vehicles=len(study.evidence.paths)))
 
 
 def _new_lanes(study: Study, p: Learning, *, first: bool) -> Steps[tuple[Lane, ...] | None]:
@@ -214,16 +230,22 @@ def told_once(
             for other in (*mapping.told, *fresh)
         ):
             fresh.append(change)
-    if len(mapping.evidence.paths) < p.young_paths:
+    if young(mapping, p):
         mapping = replace(mapping, told=(*mapping.told, *fresh)[-p.backlog :])
     return mapping, tuple(fresh)
 
 
-def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters, digest: str) -> Mapping:
-    """Return the state with lanes being learned, where that is due and there is something new to tell."""
-    come = mapping.evidence.next_path - 1
-    young = len(mapping.evidence.paths) < p.young_paths
-    period_us = round(1e6 * (p.young_every_s if young else p.every_s))
+def look(  # noqa: PLR0913, PLR0917 - the state, the frame, what is seen, the parameters
+    mapping: Mapping, moment: Moment, sensor_id: str, paths: Paths, p: Learning, digest: str
+) -> Mapping:
+    """Return the state with lanes being learned, where that is due and there is something new to tell.
+
+    paths: of the vehicles in view. A young map is learned from them, too: where a signal holds vehicles back,
+    the road is full of paths before many have left it.
+    """
+    when, evidence, come = p.mapping, mapping.evidence, mapping.evidence.next_path - 1
+    fresh = young(mapping, when)
+    period_us = round(1e6 * (when.young_every_s if fresh else when.every_s))
     slot = (moment.time_us + zlib.crc32(sensor_id.encode()) % period_us) // period_us
     if slot == mapping.slot:
         return mapping
@@ -231,11 +253,22 @@ def look(mapping: Mapping, moment: Moment, sensor_id: str, p: MappingParameters,
     mapping = replace(mapping, slot=slot)
     if first or mapping.given_key or mapping.study is not None:
         return mapping
-    if len(mapping.evidence.paths) < p.paths_min or come == mapping.learned_paths:
+    if fresh:
+        evidence = with_paths_in_view(evidence, paths, p.evidence)
+    points = len(evidence.x_m)
+    new = (come, points) != (mapping.learned_paths, mapping.learned_points)  # who stands tells nothing more
+    if len(evidence.paths) < when.paths_min or not new:
         return mapping
-    due = mapping.frames + p.ready_after
-    study = Study(mapping.evidence, mapping.map.lanes, mapping.gone, digest, mapping.frames, due)
-    return replace(mapping, learned_paths=come, study=study)
+    due = mapping.frames + when.ready_after
+    study = Study(evidence, mapping.map.lanes, mapping.gone, digest, mapping.frames, due)
+    return replace(mapping, learned_paths=come, learned_points=points, study=study)
+
+
+def with_paths_in_view(evidence: Evidence, paths: Paths, p: EvidenceParameters) -> Evidence:
+    """Return the evidence with the paths of the vehicles in view, as far as they have come."""
+    for path in so_far(paths):
+        evidence = add(evidence, path, p)
+    return evidence
 
 
 def covered(evidence: Evidence, lanes: tuple[Lane, ...], near_m: float) -> Steps[float]:

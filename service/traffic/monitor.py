@@ -18,7 +18,7 @@ from service.traffic.changes import Changes, confirm, judged, no_changes
 from service.traffic.counting import CountState, count, nothing_counted, report
 from service.traffic.mapping import Mapping, no_mapping
 from service.traffic.measured import measured_of
-from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, Samples
+from service.traffic.model import NO_MAP, LaneChange, LaneMap, Moment, Outputs, Samples, no_samples
 from service.traffic.motion_state import classify
 from service.traffic.parameters import TrafficParameters, TrafficSetup
 from service.traffic.paths import Paths, follow, join, no_paths, retraced
@@ -83,7 +83,7 @@ def step(
     if finished:
         mapping, drift = lane_mapping.gather(mapping, finished, p.evidence, p.drift, p.mapping)
     if not moment.tick:
-        mapping = lane_mapping.look(mapping, moment, setup.config.sensor_id, p.mapping, setup.digest)
+        mapping = lane_mapping.look(mapping, moment, setup.config.sensor_id, paths, p, setup.digest)
     state = TrafficState(mapping, state.chart, vehicles, paths, changes, counts)
     return state, estimates, Outputs(finished, sure, found, drift, counted)
 
@@ -110,7 +110,7 @@ def _map_in_force(
     if mapping.map is before.map:
         return state, None, (), ()
     state = replace(state, chart=chart_of(mapping.map))
-    if mapping.map.source != "learned" or not before.backlog:
+    if mapping.map.source != "learned" or not lane_mapping.young(before, setup.parameters.mapping):
         return state, mapping.map, (), ()
     return trace_back(state, before, moment.time_us, setup.parameters)
 
@@ -122,7 +122,7 @@ def trace_back(
 
     Returns the state, its map, the changes of lanes of the former, and those of the latter, to be judged.
     """
-    gone = join(tuple(path.samples for path in before.backlog))
+    gone = join((no_samples(), *(path.samples for path in before.backlog)))
     past = join((state.paths.past, *state.paths.recent))
     version = state.map.version
     passing = no_vehicles(np.unique(gone.number))

@@ -91,11 +91,20 @@ def _last_places(paths: Paths, before: I64) -> tuple[F32, F32]:
     return np.where(known, paths.x_m[before], nowhere), np.where(known, paths.y_m[before], nowhere)
 
 
+def so_far(paths: Paths) -> tuple[Trajectory, ...]:
+    """Return the path of each track that is followed, up to now."""
+    return _of(paths, np.arange(len(paths.number)))
+
+
 def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
-    gone = np.flatnonzero(find(listed, paths.number) < 0)
-    if not len(gone):
+    return _of(paths, np.flatnonzero(find(listed, paths.number) < 0))
+
+
+def _of(paths: Paths, chosen: I64) -> tuple[Trajectory, ...]:
+    """Return the paths of the tracks at some places."""
+    if not len(chosen):
         return ()
-    past = take(paths.past, np.flatnonzero(find(paths.number[gone], paths.past.number) >= 0))
+    past = take(paths.past, np.flatnonzero(find(paths.number[chosen], paths.past.number) >= 0))
     everything = join((past, *paths.recent))
     return tuple(
         Trajectory(
@@ -105,7 +114,7 @@ def _ended(paths: Paths, listed: I64) -> tuple[Trajectory, ...]:
             width_m=float(paths.width_m[i]),
             existence=float(paths.existence[i]),
         )
-        for i in gone
+        for i in chosen
     )
 
 

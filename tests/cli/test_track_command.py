@@ -79,7 +79,10 @@ def test_a_recording_too_short_for_a_live_map_has_lanes_in_its_crossings_and_cha
     simulated, out = tmp_path / "dense", tmp_path / "out"
     run("simulate", "dense", "--duration", "15", "--seed", "3", "--out", simulated)
 
-    run("track", simulated / "frames.jsonl.gz", "--site", simulated / "site.json", "--out", out)
+    run(
+        "track", simulated / "frames.jsonl.gz", "--site", simulated / "site.json", "--out", out,
+        "--set", "traffic.mapping.ready_after=400",  # frames: more than there are
+    )  # fmt: skip
 
     lanes = json.loads((out / "lanes.json").read_text())
     crossings, changes = records(out / "crossings.jsonl"), records(out / "changes.jsonl")

@@ -14,7 +14,7 @@ from tests.traffic.tracks import FRAME_US, START_US, estimates
 
 LINE = {"line_id": "A", "p0": [-10.0, 60.0], "p1": [10.0, 60.0]}
 CONFIG = SensorConfig(sensor_id="radar-1", count_lines=[LINE])
-SHORT_S = 28.0  # too short for a live map, long enough for a whole one
+SHORT_S = 20.0  # too short for a live map, long enough for a whole one
 
 
 def recorded(seconds, config=CONFIG):

@@ -12,6 +12,7 @@ from service.traffic import closing, monitor
 from service.traffic.mapping import lanes_in_steps
 from service.traffic.model import Moment
 from service.traffic.parameters import traffic_setup
+from service.traffic.paths import join
 from service.traffic.steps import Progress, at_once
 from tests.traffic.roads import drive, evidence_of, straight
 from tests.traffic.tracks import FRAME_US, START_US, estimates
@@ -102,8 +103,73 @@ def test_a_map_comes_into_force_a_fixed_number_of_frames_after_the_state_it_was_
     assert {k - 40 for k in told} <= set(begun.values())
     for k in told:
         before, known = states[k - 40].mapping, states[k].map.lanes
-        lanes = at_once(lanes_in_steps(before.evidence, before.map.lanes, before.gone, SETUP.parameters))
+        assert before.study is not None
+        evidence = before.study.evidence
+        lanes = at_once(lanes_in_steps(evidence, before.map.lanes, before.gone, SETUP.parameters))
         assert [lane.points_m.tobytes() for lane in lanes] == [lane.points_m.tobytes() for lane in known]
+
+
+def queue(seconds, count=None, *, changer=None, every_s=1.5, gap_m=7.0, stop_y_m=25.0, seed=5):
+    """Vehicles that come in two lanes towards the radar and stand behind one another: nobody leaves.
+
+    changer: number of the one that goes over to the other lane on its way, before it is at 80 m.
+    """
+    count = count or int(seconds / every_s)
+    wobble = np.random.default_rng(seed).normal(0, 0.15, count)
+    stop_y = stop_y_m + gap_m * (np.arange(count) // 2)
+    frames = []
+    for k in range(int(seconds * 1e6 / FRAME_US)):
+        age = k * FRAME_US / 1e6 - every_s * np.arange(count)
+        here = np.flatnonzero(age >= 0)
+        y = np.maximum(140 - SPEED_MPS * age[here], stop_y[here])
+        speed = np.where(y > stop_y[here], -SPEED_MPS, 0.0)
+        other = np.where(1 + here == changer, np.clip((100.0 - y) / 20.0, 0.0, 1.0), 0.0)
+        own, beside = np.array(LANES_X_M)[here % 2], np.array(LANES_X_M)[1 - here % 2]
+        frames.append(estimates(1 + here, own + other * (beside - own) + wobble[here], y, 0.0, speed))
+    return frames
+
+
+def test_lanes_are_learned_from_vehicles_in_view_where_nobody_has_left_yet():
+    state, outputs, seen = watch(queue(30))
+
+    assert not any(found.finished for found in outputs)
+    first = maps(outputs)[0][1]
+    middles = sorted(float(lane.points_m[:, 0].mean()) for lane in first.lanes)
+    np.testing.assert_allclose(middles, LANES_X_M, atol=0.2)
+    assert first.vehicles >= 8
+    assert set(seen[-1].lane.tolist()) == {lane.index for lane in state.map.lanes}
+    assert not len(state.mapping.evidence.paths)  # their paths go there once they are complete
+
+
+def test_vehicles_in_view_are_traced_back_by_a_first_map_before_anybody_has_left():
+    state, outputs, _ = watch(queue(32, changer=3))
+
+    assert not any(found.finished for found in outputs)
+    first_us = START_US + maps(outputs)[0][0] * FRAME_US
+    past = join((state.paths.past, *state.paths.recent))
+    assert (past.lane[past.time_us < first_us] > 0).mean() > 0.95
+    (_, change) = changes(outputs)[0]
+    assert change.number == 3
+    assert change.time_us < first_us
+
+
+def test_a_queue_that_stands_is_not_learned_from_again_and_again():
+    states = states_of(queue(75, 20))  # the last one stands after 37 s
+
+    begun = {s.mapping.study.begun * FRAME_US / 1e6 for s in states if s.mapping.study is not None}
+    assert len(begun) >= 2
+    assert max(begun) < 50
+
+
+def test_vehicles_in_view_tell_no_more_of_lanes_once_many_paths_are_known():
+    setup = traffic_setup(SensorConfig(sensor_id="radar-1", parameters={"traffic.mapping.young_paths": "8"}))
+    states = states_of(scene(100), setup)
+
+    studies = {id(s.mapping.study): s.mapping.study for s in states if s.mapping.study is not None}
+    grown = [study for study in studies.values() if len(study.evidence.paths) > 8]
+    assert grown
+    for study in grown:
+        assert any(s.mapping.evidence is study.evidence for s in states)
 
 
 def states_of(frames, setup=SETUP):
