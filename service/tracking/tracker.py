@@ -37,7 +37,7 @@ from service.tracking.state import (
     no_tandems,
     no_tracks,
     none_resting,
-)  # fmt: skip
+)
 from service.tracking.tandem import pairs_now, unite
 from service.tracking.teaching import teach_road
 
@@ -181,11 +181,8 @@ def coast(
         state, tracks=tracks, time_us=time_us, window=empty_window(), standing_window=empty_window(),
         resting=resting.expire(state.resting, time_us, p.resting),
     )  # fmt: skip
-    return (
-        replace(state, frame_times_us=(), trails=no_book(), tandems=no_tandems()),
-        estimates(tracks),
-        StepReport(deleted=ended),
-    )
+    state = replace(state, frame_times_us=(), trails=no_book(), tandems=no_tandems())
+    return state, estimates(tracks), StepReport(deleted=ended)
 
 
 def estimates(tracks: Tracks) -> TrackEstimates:

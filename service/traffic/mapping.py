@@ -140,9 +140,9 @@ def begin(mapping: Mapping, moment: Moment, given: Given, p: Learning, digest: s
             mapping, given_key=given.key, gone=gone, coming=None, study=None, slot=-1, learned_paths=0
         )
         if given.lanes is not None:
-            return _in_force(mapping, moment, given.lanes, "user")
+            return _in_force(mapping, moment, given.lanes, "user", mapping.evidence)
     if mapping.coming is not None:
-        return _in_force(mapping, moment, mapping.coming, "learned")
+        return _in_force(mapping, moment, mapping.coming, "learned", mapping.evidence)
     if mapping.study is None:
         return mapping
     if mapping.study.digest != digest:
@@ -160,10 +160,7 @@ def _study(mapping: Mapping, study: Study, moment: Moment, p: Learning) -> Mappi
         return mapping
     lanes = progress.answer()
     mapping = replace(mapping, study=None)
-    if lanes is None:
-        return mapping
-    mapping = _in_force(mapping, moment, lanes, "learned")
-    return replace(mapping, map=replace(mapping.map, vehicles=len(study.evidence.paths)))
+    return mapping if lanes is None else _in_force(mapping, moment, lanes, "learned", study.evidence)
 
 
 def _new_lanes(study: Study, p: Learning, *, first: bool) -> Steps[tuple[Lane, ...] | None]:
@@ -179,12 +176,14 @@ def _new_lanes(study: Study, p: Learning, *, first: bool) -> Steps[tuple[Lane, .
     return lanes
 
 
-def _in_force(mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source: str) -> Mapping:
+def _in_force(
+    mapping: Mapping, moment: Moment, lanes: tuple[Lane, ...], source: str, evidence: Evidence
+) -> Mapping:
     new = LaneMap(
         version=mapping.map.version + 1,
         time_us=moment.time_us,
         frame=moment.frame,
-        vehicles=len(mapping.evidence.paths),
+        vehicles=len(evidence.paths),
         source="user" if source == "user" else "learned",
         lanes=lanes,
     )
