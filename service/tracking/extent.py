@@ -7,7 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.tracking.boxes import M_COUNT, M_SCATTER, M_TURN, M_U_MEAN, M_VAR_TURN, M_VAR_W, M_W, M_W_MEAN
+from service.tracking.heading_kernels import (
+    drift_apart,
+    follow_road,
+    follow_row,
+    going_along,
+    pivots,
+    slip_rad,
+    turn,
+)
 from service.tracking.kernel import kernel, part
 from service.tracking.length_kernels import learn_length
 from service.tracking.model import F64, Bool
@@ -48,6 +56,7 @@ class ExtentParameters:
     turn_memory_frames: float = 2.0  # frames over which the error of a velocity's direction repeats itself
     wander_radius_m: float = 20.0  # vehicles turn this sharply as a rule, for about a second
     wander_accel_mps2: float = 2.0  # ... and pull this much sideways
+    slip_bound: float = 2.0  # of a turning vehicle's slip, how far it may go sideways: it lasts for frames
     one_way_std_rad: float = 0.35  # a vehicle further off the road's direction is turning
     settled_std_rad: float = 0.25  # a heading better known than this cannot be the wrong way round, ...
     guess_m: float = 8.0  # ... unless the vehicle was born standing and has come no further than this
@@ -73,6 +82,7 @@ class ExtentParameters:
     road_gate_rad: float = 0.6  # a vehicle further off turns, or its heading is no more than a guess
     # the row of points along the side that the radar sees measures a heading, too
     row_aspect_rad: float = math.radians(30.0)  # ... of vehicles seen this much from the side
+    row_long_aspect_rad: float = math.radians(12.0)  # ... a truck's tells at less, where no road does
     row_memory_frames: float = 1.5  # which says the same for so many frames
     row_bias_rad: float = 0.05  # which of its scatterers answer best turns a vehicle's row for good
     row_gate_rad: float = 0.8  # a row turned further holds points of a neighbour
@@ -116,29 +126,32 @@ def learn(
     )  # fmt: skip
     heading_var = tracks.heading_var.copy()
     turn_rate, drift, scatter = tracks.turn_rate_radps.copy(), tracks.drift.copy(), tracks.scatter.copy()
-    loose = _drift(
+    loose = drift_apart(
         mean, cov, heading, measured, hit, drift, scatter, p.scatter_gain, p.drift_gain, p.drift_free,
         p.turn_above_mps,
     )  # fmt: skip
-    pivot = _pivots(measured, hit, length)
-    _follow_road(
+    pivot = pivots(measured, hit, length)
+    follow_road(
         mean, heading, heading_var, pivot, one_way, road_heading, p.road_std_rad**2 * p.road_memory_frames,
         p.road_gate_rad,
     )  # fmt: skip
-    _follow_row(
-        mean, heading, heading_var, measured, hit,
-        (math.cos(p.row_aspect_rad), p.row_memory_frames, p.row_gate_rad, p.row_bias_rad**2),
+    goes, along = np.empty(len(heading), dtype=np.bool_), math.cos(p.one_way_std_rad)
+    going_along(heading, one_way, road_heading, along, goes)
+    follow_row(
+        mean, heading, heading_var, length, goes, measured, hit,
+        (math.cos(p.row_aspect_rad), p.wide_from_m, math.cos(p.row_long_aspect_rad), p.row_memory_frames,
+         p.row_gate_rad, p.row_bias_rad**2),
     )  # fmt: skip
-    goes = np.empty(len(heading), dtype=np.bool_)
-    _goes(heading, one_way, road_heading, math.cos(p.one_way_std_rad), goes)
+    going_along(heading, one_way, road_heading, along, goes)  # as it lies now
+    slip = slip_rad(mean, length, goes, p.wander_radius_m, p.wander_accel_mps2)
     guess = tracks.standing & (tracks.come_m < p.guess_m)  # which way it stood was a guess
-    _turn(
-        mean, cov, heading, heading_var, turn_rate, pivot, guess, dt_s,
+    turn(
+        mean, cov, heading, heading_var, turn_rate, pivot, guess, slip, dt_s,
         (p.turn_above_mps, p.turn_certainty, p.turn_memory_frames, p.wander_radius_m, p.wander_accel_mps2,
          p.settled_std_rad**2, p.turn_radius_m, p.turn_accel_mps2, p.turn_rate_gain),
     )  # fmt: skip
     _along_only(
-        mean, cov, heading, heading_var, goes, loose,
+        mean, cov, heading, heading_var, goes, loose, p.slip_bound * slip,
         (p.sideways_std_mps, p.sideways_share, p.sideways_free_mps, p.sideways_free_share,
          p.sideways_full_mps, p.sideways_least, p.bind_std_rad**2),
     )  # fmt: skip
@@ -174,171 +187,10 @@ def _turn_on(mean: F64, heading: F64, turn_rate: F64, dt_s: float, decay: float)
 
 
 @kernel
-def _drift(
-    mean: F64,
-    cov: F64,
-    heading: F64,
-    measured: F64,
-    hit: Bool,
-    drift: F64,
-    scatter: F64,
-    scatter_gain: float,
-    gain: float,
-    free: float,
-    above: float,
-) -> F64:
-    """Update the running means of sideways residuals and scatter in place; return what frees the boxes (T,).
-
-    A wrong heading binds the velocity to a wrong line, and the points carry the box off it: residuals
-    of one sign, frame after frame, where noise changes sign.
-    """
-    loose = np.empty(len(drift))
-    for i in range(len(drift)):
-        if hit[i] and measured[i, M_COUNT] > 0.0:
-            s, c = math.sin(heading[i]), math.cos(heading[i])
-            across = c * c * cov[i, 0, 0] - 2.0 * s * c * cov[i, 0, 3] + s * s * cov[i, 3, 3]
-            residual = measured[i, M_W] / math.sqrt(measured[i, M_VAR_W] + across)
-            drift[i] += gain * (min(max(residual, -3.0), 3.0) - drift[i])
-            scatter[i] += scatter_gain * (min(measured[i, M_SCATTER], 9.0) - scatter[i])
-        moving = math.hypot(mean[i, 1], mean[i, 4]) > above
-        loose[i] = 1.0 + (drift[i] / free) ** 4 if moving else 1.0
-    return loose
-
-
-@kernel
-def _pivots(measured: F64, hit: Bool, length: F64) -> F64:
-    """Return how far ahead of its centre (T,) each box is turned: in the middle of its points.
-
-    Across the box their mean is then what it was. About any other place the points would afterwards pull the
-    box sideways, and that speed would turn it again: a long box that approaches, turned about its front,
-    runs away.
-    """
-    out = np.zeros(len(length))
-    for i in range(len(length)):
-        if hit[i] and measured[i, M_COUNT] > 0.0:
-            out[i] = min(max(measured[i, M_U_MEAN], -0.5 * length[i]), 0.5 * length[i])
-    return out
-
-
-@kernel
-def _follow_road(
-    mean: F64,
-    heading: F64,
-    heading_var: F64,
-    pivot: F64,
-    one_way: Bool,
-    road_heading: F64,
-    noise: float,
-    gate: float,
-) -> None:
-    """Measure headings, in place, by the direction in which all others drive.
-
-    The velocity of a crawling vehicle says nothing of its heading, and would turn its box across the lane.
-    """
-    for i in range(len(heading)):
-        if not one_way[i]:
-            continue
-        error = (road_heading[i] - heading[i] + math.pi) % (2.0 * math.pi) - math.pi
-        if abs(error) > gate:
-            continue
-        gain = heading_var[i] / (heading_var[i] + noise)
-        heading_var[i] *= 1.0 - gain
-        heading[i] = _turn_box(mean[i], heading[i], gain * error, pivot[i])
-
-
-@kernel
-def _goes(heading: F64, one_way: Bool, road_heading: F64, cosine: float, goes: Bool) -> None:
-    """Write which boxes (T,) point the way that all drive there."""
-    for i in range(len(heading)):
-        goes[i] = one_way[i] and math.cos(heading[i] - road_heading[i]) > cosine
-
-
-@kernel
-def _follow_row(
-    mean: F64, heading: F64, heading_var: F64, measured: F64, hit: Bool, limits: tuple[float, ...]
-) -> None:
-    """Measure headings, in place, by the row of points along the side that the radar sees.
-
-    The box turns about the middle of its points. Of a vehicle that turns across the line of sight the
-    velocity tells the direction last of all, and of one that stands it tells nothing.
-    """
-    end_on, memory, gate, bias = limits
-    for i in range(len(heading)):
-        if not hit[i] or measured[i, M_COUNT] == 0.0 or not math.isfinite(measured[i, M_VAR_TURN]):
-            continue
-        error = measured[i, M_TURN]
-        aspect = heading[i] - math.atan2(mean[i, 0], mean[i, 3])
-        # as it lies, or as its points say: a turn is seen end-on at first
-        side_on = min(abs(math.cos(aspect)), abs(math.cos(aspect + error))) <= end_on
-        if not side_on or abs(error) > gate:
-            continue
-        gain = heading_var[i] / (heading_var[i] + memory * measured[i, M_VAR_TURN])
-        heading_var[i] = max((1.0 - gain) * heading_var[i], min(bias, heading_var[i]))
-        before, after = heading[i], heading[i] + gain * error
-        u, w = measured[i, M_U_MEAN], measured[i, M_W_MEAN]
-        mean[i, 0] += u * (math.sin(before) - math.sin(after)) + w * (math.cos(before) - math.cos(after))
-        mean[i, 3] += u * (math.cos(before) - math.cos(after)) - w * (math.sin(before) - math.sin(after))
-        heading[i] = (after + math.pi) % (2.0 * math.pi) - math.pi
-
-
-@kernel
-def _turn(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, turn_rate: F64, pivot: F64, guess: Bool,
-    dt_s: float, turning: tuple[float, ...],
-) -> None:  # fmt: skip
-    """Turn boxes towards their velocity, about the middle of their points, in place.
-
-    The heading is a state of its own, a random walk as wide as a vehicle of that speed turns, measured by the
-    direction of the velocity. Once it is settled it turns no faster than a vehicle can (its wheels bound
-    the curvature, its tyres the sideways acceleration), and never over unless it is a guess.
-    """
-    above, certainty, memory, radius, accel, settled, radius_min, accel_max, rate_gain = turning
-    for i in range(len(heading)):
-        vx, vy = mean[i, 1], mean[i, 4]
-        speed = math.hypot(vx, vy)
-        rate = min(speed / radius, accel / max(speed, 1e-3))
-        heading_var[i] = min(heading_var[i] + rate * rate * dt_s, 1.0)
-        before, arm = heading[i], pivot[i]
-        s, c = math.sin(before), math.cos(before)
-        if speed <= above or speed <= certainty * math.sqrt(0.5 * (cov[i, 1, 1] + cov[i, 4, 4])):
-            continue
-        error = (math.atan2(vx, vy) - before + math.pi) % (2.0 * math.pi) - math.pi
-        sure = heading_var[i] < settled
-        if abs(error) > 0.5 * math.pi:
-            if sure and not guess[i]:
-                continue
-            # a first guess that was the wrong way round is turned over at once: the box is the same
-            before += math.pi
-            arm = -arm
-            error -= math.copysign(math.pi, error)
-        across = c * c * cov[i, 1, 1] - 2.0 * s * c * cov[i, 1, 4] + s * s * cov[i, 4, 4]
-        noise = memory * across / (speed * speed)
-        gain = heading_var[i] / (heading_var[i] + noise)
-        change = gain * error
-        if sure:
-            most = dt_s * min(speed / radius_min, accel_max / speed)
-            change = min(max(change, -most), most)
-            if dt_s > 0.0:
-                fastest = most / dt_s
-                rate = turn_rate[i] + rate_gain * gain * gain / (2.0 - gain) * error / dt_s
-                turn_rate[i] = min(max(rate, -fastest), fastest)
-        heading_var[i] *= 1.0 - gain
-        heading[i] = _turn_box(mean[i], before, change, arm)
-
-
-@part
-def _turn_box(mean: F64, before: float, change: float, arm: float) -> float:
-    """Turn one box about the place `arm` ahead of its centre, in place; return its new heading."""
-    after = (before + change + math.pi) % (2.0 * math.pi) - math.pi
-    mean[0] += arm * (math.sin(before) - math.sin(after))
-    mean[3] += arm * (math.cos(before) - math.cos(after))
-    return after
-
-
-@kernel
 def _along_only(
-    mean: F64, cov: F64, heading: F64, heading_var: F64, goes: Bool, loose: F64, q: tuple[float, ...]
-) -> None:
+    mean: F64, cov: F64, heading: F64, heading_var: F64, goes: Bool, loose: F64, slip: F64,
+    q: tuple[float, ...],
+) -> None:  # fmt: skip
     """Apply, in place, the pseudo-measurement that a vehicle does not move sideways.
 
     The less the heading is known, the less it binds: its error turns speed into sideways speed. One that is
@@ -355,6 +207,7 @@ def _along_only(
         part = min(max(ahead / full, least, 1.0 - 1.0 / loose[t]), 1.0)  # a turning box does not stand
         base, rest = (std_mps, share) if goes[t] else (free_mps, free_share)
         std = part * base + rest * math.sqrt(along)
+        std = math.hypot(std, slip[t] * math.sqrt(along))
         along += cov[t, 1, 1] + cov[t, 4, 4]
         r = std * std * loose[t] + along * heading_var[t]
         _condition(mean[t], cov[t], a, b, r, gain, joseph)

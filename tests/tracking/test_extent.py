@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from service.tracking import births, extent, holding, road_map, teaching, tracker
+from service.tracking import births, extent, heading_kernels, holding, road_map, teaching, tracker
 from service.tracking.births import BirthParameters
 from service.tracking.boxes import (
     M_COUNT,
@@ -251,6 +251,59 @@ def test_points_that_tell_no_direction_turn_no_box(heading_rad, row, hit):
     track = one_track(heading_rad=heading_rad)
 
     assert learn(track, row=row, hit=hit).heading_rad[0] == heading_rad
+
+
+def of_length(track, length_m):
+    return track.but(length_m=np.array([length_m]), width_m=np.array([2.5 if length_m > 7.0 else 1.9]))
+
+
+@pytest.mark.parametrize(
+    ("length_m", "aspect_rad", "row_rad", "one_way", "turns"),
+    [
+        (12.0, 0.25, -0.02, False, True),
+        (12.0, 0.1, -0.02, False, False),  # too near end-on: its near face is all that is seen
+        (12.0, 0.1, -0.4, False, False),  # however much that seems to lie askew
+        (12.0, 0.25, -0.02, True, False),  # the road tells it better
+        (4.4, 0.25, -0.02, False, False),
+    ],
+)
+def test_the_row_of_a_truck_turns_it_where_only_a_sliver_of_its_side_is_seen(
+    length_m, aspect_rad, row_rad, one_way, turns
+):
+    track = of_length(one_track(heading_rad=aspect_rad), length_m)
+
+    turned = learn(track, row=(row_rad, 0.002, 0.0, 0.0), one_way=one_way, road_rad=aspect_rad)
+
+    assert bool(turned.heading_rad[0] < aspect_rad - 0.01) is turns
+    assert turns or turned.heading_rad[0] == aspect_rad
+
+
+def test_the_middle_of_a_long_vehicle_may_go_another_way_than_its_body_points():
+    goes_aside = {"vx": 1.5, "vy": 5.0, "heading_std_rad": 0.05}
+    for speed_var in (0.05, 0.5):
+        tracks = [of_length(one_track(**goes_aside, speed_var=speed_var), length) for length in (4.4, 12.0)]
+        car, truck = map(learn, tracks)
+        assert 0.0 < truck.heading_rad[0] < 0.6 * car.heading_rad[0]  # its middle tells less of how it lies
+
+    assert truck.mean[0, 1] > car.mean[0, 1] + 0.02  # and is bound less to go as it lies
+
+
+def test_where_all_drive_one_way_the_middle_goes_as_the_body_points():
+    along = {"one_way": True, "road_rad": 0.0}
+
+    car, truck = (learn(of_length(one_track(vx=0.5, vy=5.0), length), **along) for length in (4.4, 12.0))
+
+    assert truck.heading_rad[0] == car.heading_rad[0]
+    np.testing.assert_array_equal(truck.mean, car.mean)
+
+
+@pytest.mark.parametrize(("speed_mps", "slip_rad"), [(2.0, 0.3), (20.0, 6.0 * 2.0 / 400.0)])
+def test_slip_is_half_the_length_over_the_radius_that_the_speed_allows(speed_mps, slip_rad):
+    mean = np.array([[0.0, 0.0, 0.0, 60.0, speed_mps, 0.0]])
+
+    slip = heading_kernels.slip_rad(mean, np.array([12.0]), np.array([False]), 20.0, 2.0)
+
+    assert slip[0] == pytest.approx(slip_rad)
 
 
 def test_sideways_motion_is_bound_loosely_off_the_direction_of_the_road():
