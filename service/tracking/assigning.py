@@ -43,6 +43,7 @@ from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.tracking.parameters import TrackerParameters
 from service.tracking.state import Tracks
+from service.tracking.stood import Stood, forbid
 
 OUTLIER_POINTS = 4  # fewer may well be of something else
 
@@ -103,13 +104,13 @@ def _box_array(
 
 def assign(
     tracks: Tracks, boxes: F64, z_hat: F64, S_prior: F64, detect: F64, points: F64, label: I64,
-    range_seen_min_m: float,
-    p: TrackerParameters,
+    stood: Stood, range_seen_min_m: float, p: TrackerParameters,
 ) -> Assignment:  # fmt: skip
     """Return the association of a frame's points (N, POINT_COLUMNS) with T tracks.
 
     z_hat (T, 3) and S_prior (T, 3, 3): expected measurement of the centre and its covariance without noise;
-    detect (T,): detection probability; label (N,): cluster of each point, -1 none.
+    detect (T,): detection probability; label (N,): cluster of each point, -1 none;
+    stood: which of the points stand, and what stood before.
 
     Each box claims points; the points of one box are one measurement of it. A set that lies in another box's
     gate as well is contested, and the exact marginals of joint probabilistic data association divide it
@@ -117,6 +118,7 @@ def assign(
     because the near face that a point stands for depends on the box.
     """
     cost = point_costs(points, boxes)
+    forbid(cost, boxes, points, stood, max(p.boxes.gate, p.boxes.cluster_gate), p.stood)
     owner = claim_points(cost, boxes[:, BPRIOR].copy(), label, p.boxes.gate, p.boxes.cluster_gate)
     drop_neighbours(owner, points, boxes)
     box, group = contested_pairs(cost, owner, p.boxes.gate)

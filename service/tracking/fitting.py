@@ -37,6 +37,7 @@ def fit_to_sensor(p: TrackerParameters) -> TrackerParameters:
         ),
         boxes=replace(p.boxes, doppler_margin_mps=p.boxes.doppler_margin_mps * in_rate),
         extent=replace(p.extent, still_range_rate_mps=p.extent.still_range_rate_mps * in_rate),
+        stood=replace(p.stood, along_m=p.stood.along_m * in_range),
         creeping=replace(p.creeping, from_mps=p.creeping.from_mps * in_rate),
         birth=replace(
             p.birth,

@@ -31,6 +31,7 @@ from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
 from service.tracking.splitting import SplittingParameters
+from service.tracking.stood import StoodParameters
 from service.tracking.tandem import TandemParameters
 
 T = TypeVar("T")
@@ -111,6 +112,7 @@ class TrackerParameters:
     boxes: AssociationParameters = field(default_factory=AssociationParameters)
     extent: ExtentParameters = field(default_factory=ExtentParameters)
     existence: ExistenceParameters = field(default_factory=ExistenceParameters)
+    stood: StoodParameters = field(default_factory=StoodParameters)
     creeping: CreepingParameters = field(default_factory=CreepingParameters)
     posts: PostParameters = field(default_factory=PostParameters)
     birth: BirthParameters = field(default_factory=BirthParameters)

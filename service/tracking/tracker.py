@@ -38,6 +38,7 @@ from service.tracking.state import (
     no_tracks,
     none_resting,
 )
+from service.tracking.stood import Stood
 from service.tracking.tandem import pairs_now, unite
 from service.tracking.teaching import teach_road
 
@@ -97,7 +98,8 @@ def step(
     watch("cluster")
     new = len(window.time_us) - len(points)
 
-    tracks, assignment, trails = _track(state, bank, points, label[new:], frame.time_us, p, watch)
+    stood = Stood(standing, no_birth, state.standing_window, len(state.frame_times_us))
+    tracks, assignment, trails = _track(state, bank, points, label[new:], stood, frame.time_us, p, watch)
     owned = assignment.owner >= 0
     vehicle = tracks.confirmed | creeping.seen(tracks, p.creeping)
     sure = np.concatenate((vehicle, _NOBODY))[assignment.owner]
@@ -279,8 +281,8 @@ def _cluster(window: Window, time_us: int, p: TrackerParameters) -> I64:
 
 
 def _track(
-    state: TrackerState, bank: Filter, points: F64, label: I64, time_us: int, p: TrackerParameters,
-    watch: Watch,
+    state: TrackerState, bank: Filter, points: F64, label: I64, stood: Stood, time_us: int,
+    p: TrackerParameters, watch: Watch,
 ) -> tuple[Tracks, Assignment, TrailBook]:  # fmt: skip
     """Return the tracks after prediction, association, update and recovery, the association, the trails."""
     dt_s = _dt_s(state, time_us)
@@ -294,8 +296,9 @@ def _track(
     boxes = box_array(tracks, prediction.mean, cov, hidden, p)
     detect = existence.detection_probability(tracks, p.existence)
     a = assign(
-        tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, state.range_seen_min_m, p
-    )
+        tracks, boxes, expected.z_hat, expected.S_prior, detect, points, label, stood,
+        state.range_seen_min_m, p,
+    )  # fmt: skip
     watch("associate")
     R = holding.held_noise(tracks, prediction.mean, a.R, p.extent)
     after = bank.update(prediction, a.z, R, a.beta, a.miss)

@@ -29,6 +29,8 @@ def test_what_stands_for_the_radar_grows_with_its_noise_and_vehicles_do_not():
     assert p.clutter.cell_range_m == pytest.approx(2.0 * default.clutter.cell_range_m)
     assert p.clutter.cell_azimuth_rad == default.clutter.cell_azimuth_rad
     assert p.clutter.standing_mps == pytest.approx(2.0 * default.clutter.standing_mps)
+    assert p.stood.along_m == pytest.approx(2.0 * default.stood.along_m)
+    assert (p.stood.across_m, p.stood.speed_mps) == (default.stood.across_m, default.stood.speed_mps)
     assert p.boxes.doppler_margin_mps == pytest.approx(2.0 * default.boxes.doppler_margin_mps)
     assert p.merging.same_speed_mps == pytest.approx(2.0 * default.merging.same_speed_mps)
     assert (p.birth.length_m, p.clustering) == (default.birth.length_m, default.clustering)
