@@ -32,6 +32,7 @@ class MappingParameters:
     young_every_s: float = 10.0  # while the map rests on fewer than `young_paths`
     young_paths: int = 120
     paths_min: int = 8
+    view_paths: int = 20  # while fewer are kept, those of the vehicles in view tell, too
     ready_after: int = 40  # frames from the state that is learned from to the map in force
     work_a_frame: int = 400_000  # pairs of a point and a piece of a curve: a millisecond; the rest at the end
     backlog: int = 200  # paths kept while the map is young
@@ -239,8 +240,8 @@ def look(  # noqa: PLR0913, PLR0917 - the state, the frame, what is seen, the pa
 ) -> Mapping:
     """Return the state with lanes being learned, where that is due and there is something new to tell.
 
-    paths: of the vehicles in view. A young map is learned from them, too: where a signal holds vehicles back,
-    the road is full of paths before many have left it.
+    paths: of the vehicles in view. While few have left, a map is learned from them, too: where a signal holds
+    vehicles back, the road is full of paths before many have left it.
     """
     when, evidence, come = p.mapping, mapping.evidence, mapping.evidence.next_path - 1
     fresh = young(mapping, when)
@@ -252,7 +253,7 @@ def look(  # noqa: PLR0913, PLR0917 - the state, the frame, what is seen, the pa
     mapping = replace(mapping, slot=slot)
     if first or mapping.given_key or mapping.study is not None:
         return mapping
-    if fresh:
+    if fresh and len(evidence.paths) < when.view_paths:
         evidence = with_paths_in_view(evidence, paths, p.evidence)
     points = len(evidence.x_m)
     new = (come, points) != (mapping.learned_paths, mapping.learned_points)  # who stands tells nothing more

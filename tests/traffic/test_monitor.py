@@ -161,8 +161,10 @@ def test_a_queue_that_stands_is_not_learned_from_again_and_again():
     assert max(begun) < 50
 
 
-def test_vehicles_in_view_tell_no_more_of_lanes_once_many_paths_are_known():
-    setup = traffic_setup(SensorConfig(sensor_id="radar-1", parameters={"traffic.mapping.young_paths": "8"}))
+@pytest.mark.parametrize("parameter", ["young_paths", "view_paths"])
+def test_vehicles_in_view_tell_no_more_of_lanes_once_many_paths_are_known(parameter):
+    few = {f"traffic.mapping.{parameter}": "8"}
+    setup = traffic_setup(SensorConfig(sensor_id="radar-1", parameters=few))
     states = states_of(scene(100), setup)
 
     studies = {id(s.mapping.study): s.mapping.study for s in states if s.mapping.study is not None}
