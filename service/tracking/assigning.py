@@ -43,7 +43,7 @@ from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.tracking.parameters import TrackerParameters
 from service.tracking.state import Tracks
-from service.tracking.stood import Stood, forbid
+from service.tracking.stood import Standing, forbid
 
 OUTLIER_POINTS = 4  # fewer may well be of something else
 
@@ -104,7 +104,7 @@ def _box_array(
 
 def assign(
     tracks: Tracks, boxes: F64, z_hat: F64, S_prior: F64, detect: F64, points: F64, label: I64,
-    stood: Stood, range_seen_min_m: float, p: TrackerParameters,
+    stood: Standing, range_seen_min_m: float, p: TrackerParameters,
 ) -> Assignment:  # fmt: skip
     """Return the association of a frame's points (N, POINT_COLUMNS) with T tracks.
 

@@ -24,16 +24,14 @@ class StoodParameters:
     """What has stood for long, and whose it is not."""
 
     speed_mps: float = 1.5  # a box as fast has come from elsewhere within the second
-    share: float = (
-        0.5  # of the frames of the last second in which the place gave an echo that nobody claimed ...
-    )
-    frames: int = 10  # ... of which there must be so many, as after a gap
+    share: float = 0.5  # of the last second's frames in which the place gave an echo that nobody claimed ...
+    frames: int = 10  # ... if there are so many: after a gap there are not
     along_m: float = 0.6  # how far apart echoes of one place are in range ...
     across_m: float = 0.4  # ... and across it, with ...
     across_std: float = 2.0  # ... so many deviations of the azimuth
 
 
-class Stood(NamedTuple):
+class Standing(NamedTuple):
     """What stands now, and what stood in the last second."""
 
     standing: Bool  # (N,) points of this frame
@@ -42,7 +40,7 @@ class Stood(NamedTuple):
     frames: int  # of those
 
 
-def forbid(cost: F64, boxes: F64, points: F64, stood: Stood, gate: float, p: StoodParameters) -> None:
+def forbid(cost: F64, boxes: F64, points: F64, stood: Standing, gate: float, p: StoodParameters) -> None:
     """Make the costs (T, N) of points that stood there before infinite, in place, for boxes that drive.
 
     boxes (T, BOX_COLUMNS), points (N, POINT_COLUMNS); beyond `gate` a cost is no claim.

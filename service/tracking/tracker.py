@@ -38,7 +38,7 @@ from service.tracking.state import (
     no_tracks,
     none_resting,
 )
-from service.tracking.stood import Stood
+from service.tracking.stood import Standing
 from service.tracking.tandem import pairs_now, unite
 from service.tracking.teaching import teach_road
 
@@ -98,7 +98,7 @@ def step(
     watch("cluster")
     new = len(window.time_us) - len(points)
 
-    stood = Stood(standing, no_birth, state.standing_window, len(state.frame_times_us))
+    stood = Standing(standing, no_birth, state.standing_window, len(state.frame_times_us))
     tracks, assignment, trails = _track(state, bank, points, label[new:], stood, frame.time_us, p, watch)
     owned = assignment.owner >= 0
     vehicle = tracks.confirmed | creeping.seen(tracks, p.creeping)
@@ -281,7 +281,7 @@ def _cluster(window: Window, time_us: int, p: TrackerParameters) -> I64:
 
 
 def _track(
-    state: TrackerState, bank: Filter, points: F64, label: I64, stood: Stood, time_us: int,
+    state: TrackerState, bank: Filter, points: F64, label: I64, stood: Standing, time_us: int,
     p: TrackerParameters, watch: Watch,
 ) -> tuple[Tracks, Assignment, TrailBook]:  # fmt: skip
     """Return the tracks after prediction, association, update and recovery, the association, the trails."""

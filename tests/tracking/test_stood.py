@@ -9,7 +9,7 @@ import pytest
 
 from service.tracking.boxes import BOX_COLUMNS, BSPEED, PG, POINT_COLUMNS, PVAR_AZ, PX, PY
 from service.tracking.state import Window
-from service.tracking.stood import Stood, StoodParameters, forbid
+from service.tracking.stood import Standing, StoodParameters, forbid
 from tests.tracking.test_tracker import detections, frame, run, vehicle
 
 FRAMES = 20
@@ -36,7 +36,7 @@ def costs(window, *, speed_mps=5.0, standing=True, known=False, frames=FRAMES, p
     """What one point costs a box that drives and one that stands."""
     cost, boxes = np.ones((2, 1)), np.zeros((2, BOX_COLUMNS))
     boxes[0, BSPEED] = speed_mps
-    now = Stood(np.array([standing]), np.array([known]), window, frames)
+    now = Standing(np.array([standing]), np.array([known]), window, frames)
     forbid(cost, boxes, points_at(place), now, GATE, StoodParameters())
     return cost[:, 0].tolist()
 
@@ -84,7 +84,7 @@ def test_a_place_is_as_wide_as_its_azimuth_is_uncertain():
     assert costs(beside) == [1.0, 1.0]
     cost, boxes = np.ones((1, 1)), np.zeros((1, BOX_COLUMNS))
     boxes[0, BSPEED] = 5.0
-    now = Stood(np.array([True]), np.array([False]), beside, FRAMES)
+    now = Standing(np.array([True]), np.array([False]), beside, FRAMES)
     forbid(cost, boxes, points_at(AT, azimuth_std_rad=0.008), now, GATE, StoodParameters())
     assert math.isinf(cost[0, 0])
 
