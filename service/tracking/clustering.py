@@ -86,36 +86,21 @@ def features(  # noqa: PLR0913, PLR0917 - columns of the points
     azimuth noise enters by its median. A point of unknown Doppler takes that of the nearest point which has
     one; where nobody has one, Doppler separates nothing and the along radius is the middle of its limits.
     """
-    p = parameters
-    doppler = ready(radial_velocity_mps)
-    known = np.isfinite(doppler)
-    all_known = bool(known.all())
-    if len(known) and (all_known or known.any()):
-        speed_mps = _median(np.abs(doppler if all_known else doppler[known]))
-        eps_along_m = p.eps_along_offset_m + p.eps_along_slope_s * speed_mps
-        eps_along_m = min(max(eps_along_m, p.eps_along_min_m), p.eps_along_max_m)
-    else:
-        eps_along_m = (p.eps_along_min_m + p.eps_along_max_m) / 2
-    noise_rad = _median(azimuth_std_rad) if len(azimuth_std_rad) else 0.0
+    p, doppler = parameters, ready(radial_velocity_mps)
     scaled = np.empty((len(doppler), 4))
-    scale(
-        ready(along_m), ready(across_m), ready(range_m), doppler, ready(age_s),
-        (float(eps_along_m), float(p.eps_along_growth_per_m), float(p.eps_across_m),
-         float(p.eps_across_noise * noise_rad), float(p.eps_doppler_mps), float(p.eps_age_s)),
+    with_doppler = scale(
+        ready(along_m), ready(across_m), ready(range_m), doppler, ready(age_s), ready(azimuth_std_rad),
+        (float(p.eps_along_offset_m), float(p.eps_along_slope_s), float(p.eps_along_min_m),
+         float(p.eps_along_max_m), float(p.eps_along_growth_per_m), float(p.eps_across_m),
+         float(p.eps_across_noise), float(p.eps_doppler_mps), float(p.eps_age_s)),
         scaled,
     )  # fmt: skip
-    if not all_known and known.any():
+    if 0 < with_doppler < len(doppler):
+        known = np.isfinite(doppler)
         rest = [0, 1, 3]
         nearest = cKDTree(scaled[known][:, rest]).query(scaled[~known][:, rest])[1]
         scaled[~known, 2] = scaled[known, 2][nearest]
     return scaled
-
-
-def _median(values: F64) -> float:
-    """Return the median of finite values; numpy's own costs ten times as much in checks."""
-    low, high = (len(values) - 1) // 2, len(values) // 2
-    ordered = np.partition(values, (low, high))
-    return 0.5 * float(ordered[low] + ordered[high])
 
 
 def dbscan(features: F64, weights: F64, min_weight: float, *, engine: str = "numba") -> I64:
@@ -164,16 +149,15 @@ def split_lateral(
     """
     p = parameters
     labels = np.array(labels, np.int64, order="C")
-    limits = [
-        p.split_skip_ratio, p.split_skip_margin_m2, p.split_separation_m, p.split_gain, p.split_gain_per_point
-    ]  # fmt: skip
-    width_variance_m2 = p.split_width_m**2 / 12  # of points spread evenly over the width
     split_clusters(
         labels,
         ready(across_m),
-        ready((range_m * azimuth_std_rad) ** 2 + width_variance_m2),
-        np.array(limits, np.float64),
+        ready(range_m),
+        ready(azimuth_std_rad),
+        p.split_width_m**2 / 12,  # of points spread evenly over the width
+        (float(p.split_skip_ratio), float(p.split_skip_margin_m2), float(p.split_separation_m),
+         float(p.split_gain), float(p.split_gain_per_point)),
         int(p.split_min_points),
         int(p.split_rounds),
-    )
+    )  # fmt: skip
     return labels

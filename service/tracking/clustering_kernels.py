@@ -31,17 +31,67 @@ def move_on(x: F64, y: F64, speed: F64, age: F64, road: F64, min_cosine: float, 
         moved[0, k], moved[1, k] = x[k] + path * direction_x, y[k] + path * direction_y
 
 
+@part
+def middle_of(values: F64, count: int) -> float:
+    """Return the median of the first values, one or more, whose order is lost: select it (Hoare 1961).
+
+    Values change places without a branch, because a processor cannot foresee which are less.
+    """
+    half, low, high = count // 2, 0, count
+    while high - low > 1:
+        a, b, c = values[low], values[(low + high) // 2], values[high - 1]
+        pivot = max(min(a, b), min(max(a, b), c))
+        less = low
+        for k in range(low, high):
+            value = values[k]
+            values[k], values[less] = values[less], value
+            less += value < pivot
+        if half < less:
+            high = less
+            continue
+        low = equal = less
+        for k in range(low, high):
+            value = values[k]
+            values[k], values[equal] = values[equal], value
+            equal += value == pivot
+        if half < equal or equal == low:  # the latter where there is no order: not a number
+            break
+        low = equal
+    upper = values[half]
+    if count % 2 == 1:
+        return float(upper)
+    lower = values[0]  # what is before the upper one is no greater
+    for k in range(1, half):
+        lower = max(lower, values[k])
+    return 0.5 * float(lower + upper)
+
+
 @kernel
 def scale(
-    along: F64, across: F64, range_m: F64, doppler: F64, age: F64, radii: tuple[float, ...], scaled: F64
-) -> None:
-    """Write (N, 4) the columns in units of their radii; unknown Doppler as 0. See `clustering.features`."""
-    eps_along, growth, eps_across, noise_rad, eps_doppler, eps_age = radii
+    along: F64, across: F64, range_m: F64, doppler: F64, age: F64, azimuth_std: F64, radii: tuple[float, ...],
+    scaled: F64,
+) -> int:  # fmt: skip
+    """Write (N, 4) the columns in units of their radii; unknown Doppler as 0. See `clustering.features`.
+
+    Returns how many points have a Doppler.
+    """
+    offset, slope, eps_least, eps_most, growth, eps_across, noise, eps_doppler, eps_age = radii
+    spare, known = np.empty(len(along)), 0
+    for k in range(len(along)):
+        spare[known] = abs(doppler[k])
+        known += math.isfinite(doppler[k])
+    eps_along = 0.5 * (eps_least + eps_most)
+    if known > 0:
+        eps_along = min(max(offset + slope * middle_of(spare, known), eps_least), eps_most)
+    for k in range(len(along)):
+        spare[k] = azimuth_std[k]
+    noise_rad = noise * middle_of(spare, len(along)) if len(along) > 0 else 0.0
     for k in range(len(along)):
         scaled[k, 0] = along[k] / (eps_along * (1.0 + growth * range_m[k]))
         scaled[k, 1] = across[k] / math.hypot(eps_across, noise_rad * range_m[k])
         scaled[k, 2] = (doppler[k] if math.isfinite(doppler[k]) else 0.0) / eps_doppler
         scaled[k, 3] = age[k] / eps_age
+    return known
 
 
 @part
@@ -230,7 +280,7 @@ def sort_across(order: I64, across: F64, spare: I64) -> None:
 
 
 @part
-def is_wide(order: I64, across: F64, spread2: F64, limits: F64) -> tuple[bool, float, float]:
+def is_wide(order: I64, across: F64, spread2: F64, limits: tuple[float, ...]) -> tuple[bool, float, float]:
     """Return whether points (M,) spread wider than one vehicle's, their middle and the variance of one's."""
     count = len(order)
     middle = noise2 = square = 0.0
@@ -258,15 +308,20 @@ def best_cut(order: I64, across: F64, middle: float) -> tuple[int, float, float]
 
 
 @kernel
-def split_clusters(labels: I64, across: F64, spread2: F64, limits: F64, fewest: int, rounds: int) -> int:
+def split_clusters(
+    labels: I64, across: F64, range_m: F64, azimuth_std: F64, width_var: float, limits: tuple[float, ...],
+    fewest: int, rounds: int,
+) -> int:  # fmt: skip
     """Split clusters of points side by side in place; return the number of clusters.
 
-    labels: (N,) changed in place.  across: (N,) metres.  spread2: (N,) variance across of one vehicle's
-    points there.  limits: skip ratio, skip margin, separation, gain and gain per point.  fewest: points that
-    are tested.  rounds: most cuts one after another.
+    labels: (N,) changed in place.  across, range_m: (N,) metres.  azimuth_std: (N,) rad.  width_var: variance
+    across of points spread over a vehicle.  limits: skip ratio, skip margin, separation, gain and gain per
+    point.  fewest: points that are tested.  rounds: most cuts one after another.
     """
     points = len(labels)
-    order, spare = np.empty(points, np.int64), np.empty(points, np.int64)
+    order, spare, spread2 = np.empty(points, np.int64), np.empty(points, np.int64), np.empty(points)
+    for n in range(points):  # variance across of the points of one vehicle there
+        spread2[n] = (range_m[n] * azimuth_std[n]) ** 2 + width_var
     bounds = list_clusters(labels, order)
     ends, wide = np.zeros(points, np.bool_), np.zeros(points, np.bool_)  # at the last point of a piece
     for c in range(1, len(bounds)):  # only what is cut needs sorting, and little is

@@ -129,10 +129,12 @@ def find_pairs(
     for i in range(n):
         s, c, speed = math.sin(heading[i]), math.cos(heading[i]), math.hypot(mean[i, 1], mean[i, 4])
         reach = max(longest, length[i]) + lane_across + inside_across + same_centre  # of any of the three
+        beside = max(lane_across, inside_across, 0.75 * same_centre)
         for j in range(n):
             dx, dy = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3]
-            if i == j or abs(dx) > reach or abs(dy) > reach:
-                continue
+            along, across = abs(s * dx + c * dy), abs(c * dx - s * dy)
+            if i == j or across >= beside or along > reach:
+                continue  # nearly always
             apart, dv, like = math.hypot(dx, dy), np.inf, False
             turned = max(abs(turn_rate[i]), abs(turn_rate[j])) * apart
             for k in (i, j):
@@ -145,7 +147,7 @@ def find_pairs(
             one_silent = (empty[i] >= silent) != (empty[j] >= silent)
             if not like and not one_silent:
                 continue
-            along, across, half = abs(s * dx + c * dy), abs(c * dx - s * dy), 0.5 * (length[i] + length[j])
+            half = 0.5 * (length[i] + length[j])
             if along < overlap_share * half and across < lane_across:
                 if one_silent:
                     same = dv < silent_dv and (hits[j] if empty[i] >= silent else hits[i]) < piece_hits

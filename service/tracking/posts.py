@@ -64,64 +64,59 @@ def on_posts(
     Those are what vehicles drive through, and what gives weaker echoes than vehicles.
     """
     return _on_posts(
-        t.mean, t.status, t.points_per_hit, t.echo_db < echo_reference_db - p.weak_db,
-        t.come_m,
-        np.abs(np.hypot(t.x_m, t.y_m) - np.hypot(t.born_x_m, t.born_y_m)), (time_us - t.born_us) / 1e6,
-        seen.hidden, seen.driven, seen.known_road, seen.crept,
+        t.mean, t.heading_rad, t.length_m, t.status, t.hits, t.empty, t.points_per_hit, t.echo_db,
+        t.born_x_m, t.born_y_m, t.born_us, time_us, seen.hidden, seen.driven, seen.known_road, seen.crept,
         (p.still_mps, p.after_s, p.travel_m, p.points, p.weak_points, p.unmoved_m, p.unmoved_points,
          p.alone_s, p.unmoved_s, p.red_light_s, p.company_points, p.company_m),
-        _driven_through(
-            t.mean, t.heading_rad, t.length_m, t.empty == 0, t.status, t.hits,
-            (p.through_m, p.through_mps, float(p.through_hits)),
-        ),
+        (p.through_m, p.through_mps, float(p.through_hits)), echo_reference_db - p.weak_db,
     )  # fmt: skip
 
 
 @kernel
 def _on_posts(
-    mean: F64, status: U8, points: F64, weak: Bool, travel: F64, nearer: F64, age_s: F64, hidden: Bool,
-    driven: Bool, known_road: Bool, crept: Bool, q: tuple[float, ...], through: Bool,
+    mean: F64, heading: F64, length: F64, status: U8, hits: I64, empty: I64, points: F64, echo_db: F64,
+    born_x: F64, born_y: F64, born_us: I64, time_us: int, hidden: Bool, driven: Bool, known_road: Bool,
+    crept: Bool, q: tuple[float, ...], vehicle: tuple[float, float, float], weak_db: float,
 ) -> tuple[Bool, Bool]:  # fmt: skip
     still, after, most, few, weak_few, unmoved, unmoved_few, alone_s, unmoved_s, red_s, row, company = q
     out, certain = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
     for i in range(len(points)):
-        speed = math.hypot(mean[i, 1], mean[i, 4])
-        if speed >= still or crept[i] or travel[i] >= most or age_s[i] <= after:
+        age_s = (time_us - born_us[i]) / 1e6
+        if math.hypot(mean[i, 1], mean[i, 4]) >= still or crept[i] or age_s <= after:
             continue
-        unmoved_here = points[i] < unmoved_few and travel[i] < unmoved
-        certain[i] = points[i] < unmoved_few and nearer[i] < unmoved and through[i]
-        certain[i] |= not hidden[i] and points[i] < weak_few and weak[i]
+        travel = math.hypot(mean[i, 0] - born_x[i], mean[i, 3] - born_y[i])
+        if travel >= most:
+            continue
+        nearer = abs(math.hypot(mean[i, 0], mean[i, 3]) - math.hypot(born_x[i], born_y[i]))
+        if points[i] < unmoved_few and nearer < unmoved:
+            certain[i] = _driven_through(i, mean, heading, length, status, hits, empty, vehicle)
+        certain[i] |= not hidden[i] and points[i] < weak_few and echo_db[i] < weak_db
         out[i] = certain[i]
         if hidden[i]:
             continue
         out[i] |= points[i] < few and not driven[i]
-        if unmoved_here and not known_road[i] and age_s[i] > alone_s:
-            queue = (still, unmoved_few if age_s[i] > unmoved_s else row, company)
-            out[i] |= age_s[i] > red_s or not _in_company(i, mean, status, points, crept, queue)
+        if points[i] < unmoved_few and travel < unmoved and not known_road[i] and age_s > alone_s:
+            queue = (still, unmoved_few if age_s > unmoved_s else row, company)
+            out[i] |= age_s > red_s or not _in_company(i, mean, status, points, crept, queue)
     return out, certain
 
 
-@kernel
+@part
 def _driven_through(
-    mean: F64, heading: F64, length: F64, seen: Bool, status: U8, hits: I64, q: tuple[float, float, float]
-) -> Bool:
-    """Return through which tracks (T,) a vehicle drives now that is certain to be one, and seen."""
+    i: int, mean: F64, heading: F64, length: F64, status: U8, hits: I64, empty: I64,
+    q: tuple[float, float, float],
+) -> bool:  # fmt: skip
+    """Return whether a vehicle drives through track i now that is certain to be one, and seen."""
     near, fast, settled = q
-    out = np.zeros(len(hits), np.bool_)
     for j in range(len(hits)):
-        if (
-            not seen[j]
-            or status[j] != _CONFIRMED
-            or hits[j] < settled
-            or math.hypot(mean[j, 1], mean[j, 4]) < fast
-        ):
+        if j == i or empty[j] != 0 or status[j] != _CONFIRMED or hits[j] < settled:
             continue
+        dx, dy = mean[i, 0] - mean[j, 0], mean[i, 3] - mean[j, 3]
         s, c = math.sin(heading[j]), math.cos(heading[j])
-        for i in range(len(hits)):
-            dx, dy = mean[i, 0] - mean[j, 0], mean[i, 3] - mean[j, 3]
-            if i != j and abs(c * dx - s * dy) < near and abs(s * dx + c * dy) < 0.5 * length[j]:
-                out[i] = True
-    return out
+        if abs(c * dx - s * dy) < near and abs(s * dx + c * dy) < 0.5 * length[j]:
+            if math.hypot(mean[j, 1], mean[j, 4]) >= fast:
+                return True
+    return False
 
 
 @part

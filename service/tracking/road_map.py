@@ -77,13 +77,11 @@ def _grid(p: RoadMapParameters) -> tuple[float, float, float]:
     return p.reach_x_m, p.cell_x_m, p.cell_y_m
 
 
+@part
 def cell_of(x_m: float, y_m: float, where: tuple[float, ...]) -> tuple[int, int]:
     """Return the cell of a place, which may lie off the grid."""
     reach_x, cell_x, cell_y = where
     return math.floor((x_m + reach_x) / cell_x), math.floor(y_m / cell_y)
-
-
-cell_at = part(cell_of)  # the same for the kernels
 
 
 def fresh_places(places: F64, teach: Bool, cell: I64, road: RoadMap, p: RoadMapParameters) -> F64:
@@ -105,7 +103,7 @@ def _fresh_places(
         for i in range(len(cell)):
             if not teach[i]:
                 continue
-            a, b = cell_at(places[which, i, 0], places[which, i, 1], where)
+            a, b = cell_of(places[which, i, 0], places[which, i, 1], where)
             number = a * _NUMBERED + b
             if not (0 <= a < rows and 0 <= b < columns) or number == cell[i]:
                 continue
@@ -121,7 +119,7 @@ def _teach(
     tracks: F64, sine: F64, cosine: F64, x_m: F64, y_m: F64, heading: F64, where: tuple[float, ...]
 ) -> None:
     for k in range(len(x_m)):
-        i, j = cell_at(x_m[k], y_m[k], where)
+        i, j = cell_of(x_m[k], y_m[k], where)
         if 0 <= i < tracks.shape[0] and 0 <= j < tracks.shape[1]:
             tracks[i, j] += 1.0
             sine[i, j] += math.sin(heading[k])
@@ -151,8 +149,8 @@ def arc(start: F64, end: F64, heading_rad: float, p: RoadMapParameters) -> F64:
     before = start - back * np.array([math.sin(first_heading), math.cos(first_heading)])
     place = np.concatenate([before, place])
     heading = np.concatenate([np.full(len(before), first_heading), heading])
-    where = _grid(p)
-    cell = np.array([cell_of(x, y, where) for x, y in place.tolist()])
+    corner, size = np.array([-p.reach_x_m, 0.0]), np.array([p.cell_x_m, p.cell_y_m])
+    cell = np.floor((place - corner) / size).astype(np.int64)
     nearest = np.clip(cell, 0, np.array(_shape(p)) - 1)  # on the grid
     _, first = np.unique(nearest @ [_NUMBERED, 1], return_index=True)
     first = np.sort(first[(cell == nearest).all(axis=1)[first]])
@@ -179,7 +177,7 @@ def _driven_at(
 ) -> tuple[F64, F64, F64]:
     count, heading, agreement = np.zeros(len(x_m)), np.zeros(len(x_m)), np.zeros(len(x_m))
     for k in range(len(x_m)):
-        i, j = cell_at(x_m[k], y_m[k], where)
+        i, j = cell_of(x_m[k], y_m[k], where)
         if 0 <= i < tracks.shape[0] and 0 <= j < tracks.shape[1] and tracks[i, j] > 0.0:
             count[k] = tracks[i, j]
             heading[k] = math.atan2(sine[i, j], cosine[i, j])

@@ -127,8 +127,8 @@ def _as_one(
         nearest, chosen = np.inf, -1
         for j in range(len(heading)):
             dx, dy = mean[j, 0] - mean[i, 0], mean[j, 3] - mean[i, 3]
-            if i == j or abs(dx) > longest or abs(dy) > longest:
-                continue
+            if i == j or abs(c * dx - s * dy) >= lane_across or abs(dy) > longest or abs(dx) > longest:
+                continue  # nearly always
             if status[j] == _TENTATIVE or empty[j] > silent:
                 continue
             if min(width[i], width[j]) < narrow and max(length[i], length[j]) < truck:
@@ -139,7 +139,7 @@ def _as_one(
             if math.hypot(mean[j, 1], mean[j, 4]) <= least or along - both >= min(gap_s * speed, gap_m):
                 continue
             sj, cj = math.sin(heading[j]), math.cos(heading[j])
-            if abs(c * dx - s * dy) >= lane_across or abs(cj * dx - sj * dy) >= lane_across:
+            if abs(cj * dx - sj * dy) >= lane_across:
                 continue
             dv_x, dv_y = mean[j, 1] - mean[i, 1], mean[j, 4] - mean[i, 4]
             if abs(mean[i, 0] * dv_x + mean[i, 3] * dv_y) < like * g and math.hypot(dv_x, dv_y) < like_any:

@@ -7,6 +7,7 @@ births. Everything is a function of the state and the frame: no clock, no random
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from service.tracking import creeping, existence, extent, holding, lifecycle, re
 from service.tracking.assigning import Assignment, assign, box_array
 from service.tracking.boxes import PG, PV, PVAR_AZ, PX, PY
 from service.tracking.clustering import cluster_window
-from service.tracking.filters.base import Filter, FilterState
+from service.tracking.filters.base import Filter, FilterState, Prediction
 from service.tracking.filters.registry import make_filter
 from service.tracking.kernel import kernel
 from service.tracking.merging import merge
@@ -110,7 +111,7 @@ def step(
     )
     free = ~window.owned
     free[new:] &= ~no_birth
-    numbers = np.append(tracks.number, -1)  # the owner -1 is the last
+    numbers = tracks.number
     tracks, reference, ended, on_posts, certain = lifecycle.live(state, tracks, assignment, frame.time_us, p)
     tandems = pairs_now(state.tandems, tracks, p.tandem)
     tracks, half = unite(tandems, tracks, p.tandem, p.extent)
@@ -141,7 +142,7 @@ def step(
     watch("births")
     post = np.zeros(len(seen), dtype=np.bool_)
     if len(certain):
-        post[usable] = np.isin(numbers[assignment.owner], certain)
+        post[usable] = np.isin(np.append(numbers, -1)[assignment.owner], certain)  # the owner -1 is the last
     clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, p.clutter)
     watch("clutter")
     state = TrackerState(
@@ -289,7 +290,8 @@ def _track(
     prediction = bank.predict(_filter_state(state.tracks), dt_s)
     tracks, mean = extent.turn_on(state.tracks, prediction.mean, dt_s, p.extent)
     hidden = existence.shadowed(tracks)
-    prediction = replace(prediction, mean=mean, noise=_widened(prediction.noise, tracks, hidden, p))
+    noise = _widened(prediction.noise, tracks, hidden, p)
+    prediction = Prediction(mean, prediction.propagated, noise, prediction.memory)
     cov = prediction.cov
     expected = bank.expected(prediction)
     watch("filter")
@@ -353,7 +355,8 @@ def _widen(
 
 def _recent_times(state: TrackerState, time_us: int, p: TrackerParameters) -> tuple[int, ...]:
     oldest = time_us - round(p.birth.standing_window_s * 1e6)
-    return (*(t for t in state.frame_times_us if t > oldest), time_us)
+    times = state.frame_times_us
+    return (*times[bisect_right(times, oldest) :], time_us)
 
 
 def _put_right(

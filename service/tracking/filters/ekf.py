@@ -14,6 +14,7 @@ from service.tracking.filters.correction import own_prediction, symmetric, weigh
 from service.tracking.filters.correction_kernels import project
 from service.tracking.filters.parameters import EkfParameters
 from service.tracking.filters.robust import correct_robustly
+from service.tracking.kernel import ready
 from service.tracking.measurement import CHANNELS, linearise
 from service.tracking.model import F64
 from service.tracking.motion import Motion, constant_acceleration
@@ -61,8 +62,7 @@ def predict_bank(state: FilterState, motion: Motion) -> Prediction:
 
 def expect(prediction: Prediction) -> Expected:
     """Return the expected measurement of each predicted track, linearised at its mean."""
-    own = own_prediction(prediction)
-    z_hat, H = linearise(own.mean)
+    z_hat, H = linearise(prediction.mean)
     S_prior = np.empty((len(H), CHANNELS, CHANNELS))
-    project(H, own.cov, S_prior)
+    project(H, ready(prediction.cov), S_prior)
     return Expected(z_hat, H, S_prior)
