@@ -114,6 +114,8 @@ def settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of th
                 continue
         if any(found[k].rate < least for k in others):
             continue  # without the box it would have none
+        if found[onto] not in sure and _holds_others(boxes, i, found[onto], p):
+            continue  # it may be them
         on[i] = onto
         boxes.put(i, found[onto], birth, p)
         others = [k for k in others if found[k] not in sure]  # its own box goes onto it, or it starts a track
@@ -126,6 +128,13 @@ def settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of th
     for k in sorted(free):
         if found[k].rate >= least and not any(touch(now, i, found[k], birth, p) for i in stay):
             boxes.born.append(standing_row(found[k], told=driven, p=birth))
+
+
+def _holds_others(boxes: Boxes, i: int, f: Stood, p: RearrangingParameters) -> bool:
+    """Return whether the centre of another box than i lies in a vehicle that is longer than a car."""
+    now = boxes.as_put()
+    others = [j for j in np.flatnonzero(now.confirmed).tolist() if j != i and j not in boxes.gone]
+    return f.length_m >= p.long_m and any(inside(now, j, f, p) for j in others)
 
 
 def _unite(  # noqa: PLR0913, PLR0917 - as for `_settle`

@@ -121,6 +121,16 @@ def test_what_is_long_but_not_for_certain_keeps_its_boxes():
     assert united.number.tolist() == [5]
 
 
+def test_a_box_does_not_reach_over_another_on_what_may_be_two_cars():
+    points = np.concatenate([weak_in_the_middle(0.62), points_of((29.0, 85.0, 4.4), rate=6.0)])
+    before = boxes((15.6, 85.0), (21.6, 85.0), (29.0, 85.0), length_m=np.array([7.2, 4.4, 4.4]))
+
+    after, new = put_right(before, points)
+
+    assert after is before
+    assert len(new) == 0
+
+
 @pytest.mark.parametrize(
     "lies", [{"places": (22.4, 85.0)}, {"length_m": 7.6}, {"heading_rad": ACROSS_RAD + 0.4}]
 )
