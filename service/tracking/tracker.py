@@ -143,7 +143,8 @@ def step(
     post = np.zeros(len(seen), dtype=np.bool_)
     if len(certain):
         post[usable] = np.isin(np.append(numbers, -1)[assignment.owner], certain)  # the owner -1 is the last
-    clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, p.clutter)
+    lately = clutter_map.Before(state.standing_window.points, state.standing_window.owned)
+    clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, lately, p.clutter)
     watch("clutter")
     state = TrackerState(
         tracks=tracks, window=window,

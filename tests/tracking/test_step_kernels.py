@@ -152,12 +152,17 @@ def standing_points(x, y, rate=0.0):
     return table
 
 
-def learned(table, frames=100, *, clutter=None, post=False):
-    """Return the map after so many frames of these points, which nobody claims."""
+def learned(table, frames=100, *, clutter=None, post=False, second=None, owned=False):
+    """Return the map after so many frames of these points, which nobody claims.
+
+    second: the points of the second before, owned or not.
+    """
     p = ClutterParameters()
     clutter, free = clutter or clutter_map.empty_map(p), np.ones(len(table), dtype=np.bool_)
+    second = table[:0] if second is None else second
+    before = clutter_map.Before(second, np.full(len(second), owned))
     for _ in range(frames):
-        clutter = clutter_map.learn(clutter, table, free, free & post, p)
+        clutter = clutter_map.learn(clutter, table, free, free & post, before, p)
     return clutter
 
 
@@ -200,6 +205,38 @@ def test_a_post_that_had_a_track_is_known_at_once_and_forgotten_where_there_is_n
     assert (occupancy(known, posts) == 1.0).all()
     assert (occupancy(learned(posts, round(2 * p.forget_frames), clutter=known), posts) < 0.2).all()
     assert (occupancy(learned(other, round(2 * p.forget_frames), clutter=known), posts) < 0.2).all()
+
+
+def a_second_of(rng, *, along_m=0.0, beside_m=0.0, fades_db=1.5, frames=20):
+    """Return points of a second about (0, 80), a few decimetres wide by noise, and wider if spread out."""
+    table = standing_points(
+        rng.normal(0.0, 0.3, frames) + rng.uniform(-0.5, 0.5, frames) * beside_m,
+        80.0 + rng.normal(0.0, 0.1, frames) + rng.uniform(-0.5, 0.5, frames) * along_m,
+    )
+    table[:, PVAR_R], table[:, PVAR_AZ] = 0.1**2, (0.3 / 80.0) ** 2
+    table[:, PECHO] = rng.normal(0.0, fades_db, frames)
+    return table
+
+
+@pytest.mark.parametrize(
+    ("spread", "owned", "known"),
+    [
+        ({"along_m": 3.0, "fades_db": 4.0}, False, False),
+        ({"beside_m": 3.6, "fades_db": 4.0}, False, False),
+        ({"along_m": 3.0}, False, True),
+        ({"fades_db": 4.0}, False, True),
+        ({}, False, True),
+        ({"along_m": 3.0, "fades_db": 4.0}, True, True),
+    ],
+    ids=["end-on", "side-on", "steady", "in one place", "a post", "of a track"],
+)
+def test_what_is_spread_out_and_fades_is_no_clutter(rng, spread, owned, known):
+    second = a_second_of(rng, frames=60, **spread)
+    post = second[np.argmin(np.abs(second[:, PG] - 80.0) + np.abs(second[:, PX]))][None]
+
+    found = occupancy(learned(post, second=second, owned=owned), post)
+
+    assert (found > 0.5).tolist() == [known]
 
 
 def test_points_are_sorted_by_speed_and_by_what_the_map_knows():
