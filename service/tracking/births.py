@@ -240,8 +240,8 @@ def _in_rows(
     rows: list[F64] = []
     inside = np.zeros(len(x), np.bool_)
     block = chains(x, y, p.rows.reach_m)
-    least = min(p.driven_points_per_frame, p.row_points_per_frame)
-    for b in np.flatnonzero(np.bincount(block, times) >= least * frames):  # few: most are posts
+    fewest = frames * min(p.driven_points_per_frame, p.row_points_per_frame)
+    for b in np.flatnonzero(np.bincount(block, times) >= fewest):  # few: most are posts
         mine = np.flatnonzero(block == b)
         u, v, n, known = x[mine], y[mine], times[mine], on_road[mine]
         driven = mostly(known)

@@ -6,7 +6,7 @@ learned, and those of a track that was found to be on a post.
 
 A frame may show one point or two of a vehicle, too. Within a second they lie in several places, and the echo
 of each comes and goes, since several parts of the vehicle answer there; that of a post is nearly as strong
-in every frame.
+in every frame. So what was spread out and faded in the last second is not learned, either.
 """
 
 from __future__ import annotations
@@ -62,9 +62,7 @@ class ClutterParameters:
 class Before(NamedTuple):
     """What stood before a frame."""
 
-    points: (
-        F64  # (M, POINT_COLUMNS) that stood in the last second, but for those in cells known to be clutter
-    )
+    points: F64  # (M, POINT_COLUMNS) that stood in the last second, where no clutter is known
     owned: Bool  # (M,) and were of a track, also of one not yet confirmed
 
 

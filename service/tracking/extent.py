@@ -144,8 +144,8 @@ def learn(
     )  # fmt: skip
     going_along(heading, one_way, road_heading, along, goes)  # as it lies now
     slip = slip_rad(mean, length, goes, p.wander_radius_m, p.wander_accel_mps2)
-    guess = tracks.standing  # of one that stood when it was found, and has hardly moved since
-    if guess.any():
+    guess = tracks.standing  # which way it stood when it was born was a guess
+    if guess.any():  # few scenes have any
         guess = guess & (tracks.come_m < p.guess_m)
     turn(
         mean, cov, heading, heading_var, turn_rate, pivot, guess, slip, dt_s,

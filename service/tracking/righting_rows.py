@@ -132,9 +132,11 @@ def settle(  # noqa: PLR0913, PLR0917 - boxes, vehicles, and what is known of th
 
 def _holds_others(boxes: Boxes, i: int, f: Stood, p: RearrangingParameters) -> bool:
     """Return whether the centre of another box than i lies in a vehicle that is longer than a car."""
+    if f.length_m < p.long_m:
+        return False
     now = boxes.as_put()
     others = [j for j in np.flatnonzero(now.confirmed).tolist() if j != i and j not in boxes.gone]
-    return f.length_m >= p.long_m and any(inside(now, j, f, p) for j in others)
+    return any(inside(now, j, f, p) for j in others)
 
 
 def _unite(  # noqa: PLR0913, PLR0917 - as for `_settle`

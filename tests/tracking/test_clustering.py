@@ -226,6 +226,32 @@ def test_the_radius_along_the_road_grows_with_the_median_speed(speed_mps, radius
     assert 50.0 / scaled[0, 0] == pytest.approx(radius_m * 1.1)
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 57, 1040, 1041])
+@pytest.mark.parametrize("decimals", [0, 1, 12], ids=["many alike", "some alike", "all different"])
+def test_the_radii_follow_from_the_medians(count, decimals):
+    rng = np.random.default_rng(count)
+    doppler = np.round(rng.uniform(-14.0, 14.0, count), decimals)
+    azimuth_std_rad = np.round(rng.uniform(0.01, 0.5, count), decimals + 1)
+    ones, known = np.ones(count), rng.random(count) < 0.8
+    doppler[~known] = np.nan
+
+    scaled = features(ones, ones, ones, doppler, ones, azimuth_std_rad, DEFAULTS)
+
+    speed_mps = (
+        np.median(np.abs(doppler[known])) if known.any() else (2.2 - 1.2) / 0.12
+    )  # the middle of the limits
+    along_m = np.clip(1.2 + 0.12 * speed_mps, 1.4, 3.0) * 1.002
+    np.testing.assert_allclose(scaled[:, 0], 1.0 / along_m)
+    np.testing.assert_allclose(scaled[:, 1], 1.0 / np.hypot(1.3, np.median(azimuth_std_rad)))
+
+
+def test_features_of_no_points_and_of_noise_that_is_no_number_have_an_end():
+    nothing = np.zeros(0)
+
+    assert features(*[nothing] * 6, DEFAULTS).shape == (0, 4)
+    assert features(*columns(azimuth_std_rad=np.full(4, np.nan)), DEFAULTS).shape == (4, 4)
+
+
 def test_without_any_doppler_nothing_is_separated_by_it():
     scaled = features(*columns(radial_velocity_mps=np.full(4, np.nan)), DEFAULTS)
 
