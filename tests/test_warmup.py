@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 
@@ -47,6 +48,23 @@ def read_only(*shape):
 
 def test_every_kernel_is_reported_once(warm):
     assert warm == [name for name, _ in warmup.KERNELS]
+
+
+@pytest.mark.parametrize(
+    ("usual", "meanwhile"), [((700, 10, 10), 20_000), ((90_000, 5, 5), 90_000), ((0, 10, 10), 0)]
+)
+def test_garbage_is_looked_for_seldom_meanwhile_and_as_before_afterwards(usual, meanwhile):
+    before = gc.get_threshold()
+    gc.set_threshold(*usual)
+    seen: list[int] = []
+    try:
+        warmup.warm_up(lambda *_: seen.append(gc.get_threshold()[0]))
+        afterwards = gc.get_threshold()
+    finally:
+        gc.set_threshold(*before)
+
+    assert set(seen) == {meanwhile}
+    assert afterwards == usual
 
 
 def test_no_input_makes_a_kernel_compile_again(warm):

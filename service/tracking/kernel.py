@@ -27,7 +27,9 @@ def ready(values: F64) -> F64:
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile on first call for the types it gets; keep the machine code on disk; run without the GIL."""
-    return cast("Callable[P, R]", njit(cache=True, nogil=True, error_model="numpy")(function))
+    # Nothing calls kernels from C; the type stubs of numba do not know the last option.
+    compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # type: ignore[call-overload]
+    return cast("Callable[P, R]", compiled(function))
 
 
 def part(function: Callable[P, R]) -> Callable[P, R]:
