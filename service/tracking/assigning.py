@@ -42,6 +42,7 @@ from service.tracking.boxes import (
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool
 from service.tracking.parameters import TrackerParameters
+from service.tracking.shading import shade
 from service.tracking.state import Tracks
 from service.tracking.stood import Standing, forbid
 
@@ -64,11 +65,13 @@ class Assignment:
 
 def box_array(tracks: Tracks, mean: F64, cov: F64, hidden: Bool, p: TrackerParameters) -> F64:
     """Return the predicted boxes (T, BOX_COLUMNS); hidden (T,): a nearer vehicle may shadow them."""
-    return _box_array(
+    boxes = _box_array(
         mean, cov, tracks.heading_rad, tracks.length_m, tracks.width_m, tracks.hits, tracks.confirmed, hidden,
         tracks.born_x_m, tracks.born_y_m, p.boxes.hidden_travel_m, p.boxes.growth_reach_m,
         p.boxes.young_hits, p.boxes.tentative_handicap, p.boxes.doppler_margin_mps**2,
     )  # fmt: skip
+    shade(boxes, tracks, p.sensor, p.shading)
+    return boxes
 
 
 @kernel

@@ -22,7 +22,8 @@ BX, BY, BVX, BVY, BSIN, BCOS, BLEN, BWID, BVAR_U, BVAR_W, BVAR_V, BGROW_NEAR, BG
     range(15)
 )
 BHIDDEN = 15  # 1: a nearer vehicle may hide its near face
-BOX_COLUMNS = 16
+BSHIFT, BVAR_SHIFT = 16, 17  # to the right, m, of its echoes, since others hide part of it; its variance
+BOX_COLUMNS = 18
 # columns of a measurement of one box by one set of points
 M_U, M_W, M_VAR_U, M_VAR_W, M_V, M_VAR_V, M_COUNT, M_U_MIN, M_U_MAX, M_ECHO, M_EDGE, M_WEIGHT = range(12)
 M_TURN, M_VAR_TURN, M_U_MEAN, M_W_MEAN = range(12, 16)  # angle from the heading to the row of points
@@ -76,9 +77,8 @@ def point_costs(points: F64, boxes: F64) -> F64:
         b = boxes[i]
         half_length, width = 0.5 * b[BLEN], b[BWID]
         los_norm = max(math.hypot(b[BX], b[BY]), 1e-6)
-        to_radar = (
-            -(b[BSIN] * b[BX] + b[BCOS] * b[BY]) / los_norm
-        )  # cosine of the aspect, + front faces the radar
+        # cosine of the aspect, + front faces the radar
+        to_radar = -(b[BSIN] * b[BX] + b[BCOS] * b[BY]) / los_norm
         across_los = math.sqrt(max(0.0, 1.0 - to_radar * to_radar))
         # how far from the centre a point may lie at all: nearly every pair ends at one of these comparisons
         own_variance = max(b[BVAR_U], b[BVAR_W]) + 0.09
@@ -103,8 +103,7 @@ def point_costs(points: F64, boxes: F64) -> F64:
             var_t = p[PG] * p[PG] * p[PVAR_AZ]
             var_u = to_radar * to_radar * p[PVAR_R] + across_los * across_los * var_t
             var_w = across_los * across_los * p[PVAR_R] + to_radar * to_radar * var_t
-            # only in its own lane may a box reach beyond its ends: that is how a long vehicle is found to be
-            # long
+            # only in its own lane may a box reach beyond its ends: so a long vehicle is found to be long
             beyond = 0.0
             if abs(w) < 0.5 * width + 0.6:
                 beyond = b[BGROW_NEAR] if u * to_radar > 0.0 else b[BGROW_FAR]
@@ -339,8 +338,9 @@ def measure_boxes(
         half, width = 0.5 * b[BLEN], b[BWID]
         angle = math.acos(min(abs(to_radar), 1.0))
         bias = width * visible_bias(angle)
-        out[q, M_W] = sum_aw / sum_a - math.copysign(bias, side_los)
-        out[q, M_VAR_W] = sum_a2var / (sum_a * sum_a) + (0.22 * width) ** 2 / effective + 0.0064
+        out[q, M_W] = sum_aw / sum_a - math.copysign(bias, side_los) - b[BSHIFT]
+        own_w = sum_a2var / (sum_a * sum_a) + (0.22 * width) ** 2 / effective
+        out[q, M_VAR_W] = own_w + b[BVAR_SHIFT] + 0.0064
         s = 1.0 if to_radar > 0.0 else -1.0
         if abs(to_radar) > 0.5:
             std = 0.12 + 0.6 / count

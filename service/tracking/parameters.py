@@ -30,6 +30,7 @@ from service.tracking.posts import PostParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
+from service.tracking.shading import ShadingParameters
 from service.tracking.splitting import SplittingParameters
 from service.tracking.stood import StoodParameters
 from service.tracking.tandem import TandemParameters
@@ -112,6 +113,7 @@ class TrackerParameters:
     boxes: AssociationParameters = field(default_factory=AssociationParameters)
     extent: ExtentParameters = field(default_factory=ExtentParameters)
     existence: ExistenceParameters = field(default_factory=ExistenceParameters)
+    shading: ShadingParameters = field(default_factory=ShadingParameters)
     stood: StoodParameters = field(default_factory=StoodParameters)
     creeping: CreepingParameters = field(default_factory=CreepingParameters)
     posts: PostParameters = field(default_factory=PostParameters)

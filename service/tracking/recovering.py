@@ -14,7 +14,9 @@ import numpy as np
 from service.tracking.assigning import Assignment, doppler_noise
 from service.tracking.boxes import (
     BCOS,
+    BSHIFT,
     BSIN,
+    BVAR_SHIFT,
     BVX,
     BVY,
     BX,
@@ -80,6 +82,7 @@ def recover(  # noqa: PLR0913, PLR0917 - what was, what was seen, and how to jud
     ]  # what a tentative track has is free: it may be the lost vehicle
     owner, clusters = _free_clusters(claimed, seen.label, len(tracks))
     boxes = np.concatenate([seen.boxes, np.zeros((clusters, seen.boxes.shape[1]))])
+    boxes[:, [BSHIFT, BVAR_SHIFT]] = 0.0  # shadows are other ones where a cluster is
     pairs = np.indices((len(tracks), clusters)).reshape(2, -1)
     measured = measure_boxes(
         pairs[0], len(tracks) + pairs[1], owner, seen.points, boxes, seen.range_seen_min_m

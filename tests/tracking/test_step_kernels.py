@@ -275,10 +275,8 @@ def test_columns_of_tracks_are_exchanged_taken_and_joined(rng):
 def test_a_box_in_a_shadow_that_has_hardly_moved_may_stand_on_posts(rng, come_m, hidden):
     track = some_tracks(rng).take(np.array([0]))
     track = track.but(born_x_m=track.x_m, born_y_m=track.y_m - come_m)
+    p = TrackerParameters().with_setting("shading.enabled", "false")  # it would see that nothing is there
 
-    made = [
-        box_array(track, track.mean, track.cov, np.array([there]), TrackerParameters())
-        for there in (True, False)
-    ]
+    made = [box_array(track, track.mean, track.cov, np.array([there]), p) for there in (True, False)]
 
     assert [row[0, BHIDDEN] for row in made] == [hidden, 0.0]
