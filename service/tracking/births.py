@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,7 +51,8 @@ class BirthParameters:
     standing_points_per_frame: float = 3.1  # a post gives one, and a box is long enough for three
     row_points_per_frame: float = 2.6  # of a vehicle in a row across the line of sight, which tells the row
     standing_spread_m: float = 1.5
-    driven_points_per_frame: float = 0.8  # where vehicles have driven less will do
+    driven_points_per_frame: float = 0.8  # where vehicles have driven, or queue, less will do
+    line_deep_m: float = 0.35  # deviation of their ranges, in line with a queue: one post has less
     standing_cluster_points: int = 6
     rows: RowParameters = field(default_factory=RowParameters)
     standing_along_m: float = 1.3  # gap that a standing vehicle's side may show
@@ -77,6 +79,18 @@ class Births:
 
     def __len__(self) -> int:
         return len(self.x_m)
+
+
+class Way(NamedTuple):
+    """What is known of the road at N points."""
+
+    driven: Bool  # (N,) vehicles have driven there ...
+    heading_rad: F64  # (N,) ... in that direction, or queue in it
+    in_line: Bool  # (N,) nobody has, but it is in line with a queue
+
+    def at(self, which: I64 | Bool) -> Way:
+        """Return the same at some of the points."""
+        return Way(self.driven[which], self.heading_rad[which], self.in_line[which])
 
 
 @kernel
@@ -198,24 +212,22 @@ def rows(born: Births) -> list[F64]:
     return list(table)
 
 
-def standing_births(
-    points: F64, frames: int, driven: Bool, road_heading_rad: F64, p: BirthParameters
-) -> list[F64]:
+def standing_births(points: F64, frames: int, way: Way, p: BirthParameters) -> list[F64]:
     """Return rows of Births' floats for the standing vehicles in the points of the last second.
 
-    points (N, POINT_COLUMNS) of `frames` frames, standing, in no box and in no clutter cell; driven (N,):
-    vehicles have driven there, in direction road_heading_rad (N,). A box is taken when its points are too
-    many for posts, or fewer on a driven place; it is stretched along a side while the gaps stay small
-    (buses), then its points are taken away.
+    points (N, POINT_COLUMNS) of `frames` frames, standing, in no box and in no clutter cell; way: of the road
+    at these. A box is taken when its points are too many for posts, or fewer on a driven place or in line
+    with a queue; it is stretched along a side while the gaps stay small (buses), then its points are taken
+    away.
     """
     rows: list[F64] = []
     if len(points) < p.standing_cluster_points:
         return rows
     x, y, times, first = thin(points)
-    on_road, along = driven[first], road_heading_rad[first]
+    here = way.at(first)
     group = chains(x, y, p.standing_along_m)
     left = np.bincount(group, times)[group] >= p.standing_cluster_points
-    in_rows, inside = _in_rows(x, y, times, frames, on_road, along, p)
+    in_rows, inside = _in_rows(x, y, times, frames, here, p)
     rows += in_rows
     left &= ~inside
     for _ in range(MAX_STANDING_BOXES - len(in_rows)):
@@ -223,7 +235,15 @@ def standing_births(
             break
         seed = int(np.argmax(np.where(left, times, 0)))
         near = left & (group == group[seed])
-        row = _standing_box(x, y, times, near, frames, bool(on_road[seed]), float(along[seed]), p)
+        known = bool(here.driven[seed] or here.in_line[seed])
+        row = _standing_box(x, y, times, near, frames, known, float(here.heading_rad[seed]), p)
+        if row is not None and here.in_line[seed]:
+            found, mine = row
+            wide = max(np.ptp(x[mine]), np.ptp(y[mine])) > p.standing_spread_m
+            without_it = wide and found[ROW_POINTS] >= p.standing_points_per_frame
+            row = (
+                row if without_it or _in_line(x[mine], y[mine], times[mine], here.in_line[mine], p) else None
+            )
         if row is None:
             left[seed] = False
             continue
@@ -233,9 +253,7 @@ def standing_births(
     return rows
 
 
-def _in_rows(
-    x: F64, y: F64, times: F64, frames: int, on_road: Bool, road_heading_rad: F64, p: BirthParameters
-) -> tuple[list[F64], Bool]:
+def _in_rows(x: F64, y: F64, times: F64, frames: int, way: Way, p: BirthParameters) -> tuple[list[F64], Bool]:
     """Return rows of Births' floats for vehicles in rows, side-on or end-on, and their places (N,)."""
     rows: list[F64] = []
     inside = np.zeros(len(x), np.bool_)
@@ -243,27 +261,48 @@ def _in_rows(
     fewest = frames * min(p.driven_points_per_frame, p.row_points_per_frame)
     for b in np.flatnonzero(np.bincount(block, times) >= fewest):  # few: most are posts
         mine = np.flatnonzero(block == b)
-        u, v, n, known = x[mine], y[mine], times[mine], on_road[mine]
-        driven = mostly(known)
+        u, v, n, known = x[mine], y[mine], times[mine], way.at(mine)
+        driven, queued = mostly(known.driven), known.in_line.any()
         least = p.driven_points_per_frame if driven else p.row_points_per_frame
-        if n.sum() < least * frames:
+        enough = n.sum() >= least * frames
+        if not (enough or queued):
             continue
-        along = road_heading_rad[mine]
-        heading = direction_across(u, v, n, frames, known, along, p.rows)
+        heading = direction_across(u, v, n, frames, known.driven, known.heading_rad, p.rows)
+        if heading is not None and not enough:  # a queue tells of its lane only
+            continue
         if heading is None:
             least = p.driven_points_per_frame if driven else p.standing_points_per_frame
-            lanes = lanes_end_on(u, v, n, frames, known, along, p.length_m, p.rows)
-            lanes = [(f, places) for f, places in lanes if f.rate >= least]
-            found, of_vehicle = [f for f, _ in lanes], np.zeros(len(u), np.bool_)
-            for _, places in lanes:  # what gives too few points may be a part of another box
-                of_vehicle |= places
+            lanes = lanes_end_on(u, v, n, frames, known.driven, known.heading_rad, p.length_m, p.rows)
+            found, of_vehicle = [], np.zeros(len(u), np.bool_)
+            for f, places in lanes:
+                in_line = queued and _in_line(u[places], v[places], n[places], known.in_line[places], p)
+                # what gives too few points may be a part of another box
+                if f.rate >= (p.driven_points_per_frame if in_line else least):
+                    found.append(_as_queued(f, known.heading_rad[places]) if in_line else f)
+                    of_vehicle |= places
         else:
             found, of_vehicle = stand(u, v, n, frames, heading, p.length_m, p.rows)
+            found = [f for f in found if f.rate >= least]
         inside[mine[of_vehicle]] = True
         told = driven or heading is None  # lanes seen end-on have a direction that range tells
-        rows += [standing_row(f, told, p) for f in found if f.rate >= least]
+        rows += [standing_row(f, told, p) for f in found]
     rows.sort(key=lambda row: -row[ROW_POINTS])  # the best seen
     return rows[:MAX_STANDING_BOXES], inside
+
+
+def _in_line(x: F64, y: F64, times: F64, in_line: Bool, p: BirthParameters) -> bool:
+    """Return whether places are in line with a queue, most of them, and deeper than those of a post."""
+    if not mostly(in_line):
+        return False
+    range_m, total = np.hypot(x, y), times.sum()
+    mean = (range_m * times).sum() / total
+    return bool(((range_m - mean) ** 2 * times).sum() > p.line_deep_m**2 * total)
+
+
+def _as_queued(f: Stood, queue_heading_rad: F64) -> Stood:
+    """Return the vehicle, facing as the queue at most of its places (M,) does."""
+    same = np.cos(queue_heading_rad - f.heading_rad).sum() >= 0.0
+    return f if same else replace(f, heading_rad=f.heading_rad + math.pi)
 
 
 def standing_row(f: Stood, told: bool, p: BirthParameters) -> F64:

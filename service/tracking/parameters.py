@@ -27,6 +27,7 @@ from service.tracking.filters.parameters import FilterParameters
 from service.tracking.merging import MergingParameters
 from service.tracking.moved_boxes import RearrangingParameters
 from service.tracking.posts import PostParameters
+from service.tracking.queue_lanes import QueueLaneParameters
 from service.tracking.recovery import RecoveryParameters
 from service.tracking.resting import RestingParameters
 from service.tracking.road_map import RoadMapParameters
@@ -114,6 +115,7 @@ class TrackerParameters:
     extent: ExtentParameters = field(default_factory=ExtentParameters)
     existence: ExistenceParameters = field(default_factory=ExistenceParameters)
     shading: ShadingParameters = field(default_factory=ShadingParameters)
+    queue_lanes: QueueLaneParameters = field(default_factory=QueueLaneParameters)
     stood: StoodParameters = field(default_factory=StoodParameters)
     creeping: CreepingParameters = field(default_factory=CreepingParameters)
     posts: PostParameters = field(default_factory=PostParameters)

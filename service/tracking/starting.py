@@ -14,6 +14,7 @@ from service.tracking.filters.base import Filter
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, Bool, TrackStatus
 from service.tracking.parameters import TrackerParameters
+from service.tracking.queue_lanes import Lately, queue_lanes
 from service.tracking.state import EXTENT_MEMORY, TrackerState, Tracks
 
 _NO_BIRTHS = birth.gather([])
@@ -104,7 +105,11 @@ def _standing(state: TrackerState, p: TrackerParameters) -> list[F64]:
         )
         q = q[~inside]
     q = q[clutter_map.occupancy_at(state.clutter, q, p.clutter) < p.clutter.ignore_occupancy]
-    return birth.standing_births(q, max(len(state.frame_times_us), 1), *driven_way(state, q, p), p.birth)
+    driven, heading = driven_way(state, q, p)
+    lately = Lately(w.points[~w.owned], state.range_seen_min_m)
+    in_line, along = queue_lanes(state.tracks, q, ~driven, lately, p.queue_lanes)
+    way = birth.Way(driven, np.where(in_line, along, heading), in_line)
+    return birth.standing_births(q, max(len(state.frame_times_us), 1), way, p.birth)
 
 
 def driven_way(state: TrackerState, points: F64, p: TrackerParameters) -> tuple[Bool, F64]:

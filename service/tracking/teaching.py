@@ -1,4 +1,7 @@
-"""Teach the road map: each established moving track tells where it has driven, and in which direction."""
+"""Teach the maps: where vehicles drive and in which direction, and where nothing but clutter stands.
+
+Each established moving track tells where it has driven; what stands, and is no vehicle's, is clutter.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,40 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.tracking import clutter as clutter_map
 from service.tracking import road_map
+from service.tracking.boxes import PV
+from service.tracking.clutter import ClutterMap
 from service.tracking.kernel import kernel
 from service.tracking.model import F64, I64, U8, Bool, TrackStatus
 from service.tracking.parameters import TrackerParameters
+from service.tracking.queue_lanes import Lately, queue_lanes
 from service.tracking.road_map import RoadMap, RoadMapParameters
+from service.tracking.starting import driven_way
 from service.tracking.state import TrackerState, Tracks
 
 _CONFIRMED = int(TrackStatus.CONFIRMED)
+
+
+def teach_clutter(
+    state: TrackerState, tracks: Tracks, seen: F64, unclaimed: Bool, post: Bool, p: TrackerParameters
+) -> ClutterMap:
+    """Return the clutter map after one more frame.
+
+    state: its maps and what stood before are still those before the frame; tracks: after it; seen
+    (N, POINT_COLUMNS): its points; unclaimed (N,): those of no vehicle; post (N,): those of a track that was
+    found to be on a post. What is in line with a queue where nobody has driven yet is not learned, but for
+    posts: it may be a vehicle that hardly gives points.
+    """
+    before = state.standing_window
+    still = unclaimed & (np.abs(seen[:, PV]) < p.clutter.standing_mps)
+    lately = Lately(before.points[~before.owned], state.range_seen_min_m)
+    in_line, _ = queue_lanes(tracks, seen, still, lately, p.queue_lanes)
+    if in_line.any():
+        driven, _ = driven_way(state, seen, p)
+        in_line &= ~driven
+    stood = clutter_map.Before(before.points, before.owned)
+    return clutter_map.learn(state.clutter, seen, unclaimed & ~in_line, post, stood, p.clutter)
 
 
 def teach_road(state: TrackerState, p: TrackerParameters) -> TrackerState:

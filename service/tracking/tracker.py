@@ -41,7 +41,7 @@ from service.tracking.state import (
 )
 from service.tracking.stood import Standing
 from service.tracking.tandem import pairs_now, unite
-from service.tracking.teaching import teach_road
+from service.tracking.teaching import teach_clutter, teach_road
 
 _TENTATIVE, _CONFIRMED = int(TrackStatus.TENTATIVE), int(TrackStatus.CONFIRMED)
 _NOBODY = np.zeros(1, dtype=np.bool_)  # confirmed is not the owner -1
@@ -143,8 +143,7 @@ def step(
     post = np.zeros(len(seen), dtype=np.bool_)
     if len(certain):
         post[usable] = np.isin(np.append(numbers, -1)[assignment.owner], certain)  # the owner -1 is the last
-    lately = clutter_map.Before(state.standing_window.points, state.standing_window.owned)
-    clutter = clutter_map.learn(state.clutter, seen, unclaimed, post, lately, p.clutter)
+    clutter = teach_clutter(state, tracks, seen, unclaimed, post, p)
     watch("clutter")
     state = TrackerState(
         tracks=tracks, window=window,

@@ -33,7 +33,8 @@ def direction(points):
 
 def born(points, *, driven=False):
     n = len(points)
-    rows = births.standing_births(points, FRAMES, np.full(n, driven), np.zeros(n), BirthParameters())
+    way = births.Way(np.full(n, driven), np.zeros(n), np.zeros(n, np.bool_))
+    rows = births.standing_births(points, FRAMES, way, BirthParameters())
     return births.gather(rows)
 
 

@@ -130,8 +130,8 @@ def test_a_row_is_not_parted_where_fewer_points_lie_for_less_than_a_gap():
 
 def born(points, *, driven=False):
     n = len(points)
-    road = np.full(n, ACROSS_RAD)
-    rows = births.standing_births(points, FRAMES, np.full(n, driven), road, BirthParameters())
+    way = births.Way(np.full(n, driven), np.full(n, ACROSS_RAD), np.zeros(n, np.bool_))
+    rows = births.standing_births(points, FRAMES, way, BirthParameters())
     return births.gather(rows)
 
 
