@@ -14,19 +14,21 @@ from pathlib import Path
 # Sums split over threads depend on how many there are: one thread gives the same answer on every run.
 _THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
-# At level 3 compiling takes a tenth longer, and the kernels are no faster.
-_OPTIMISATION_LEVEL = "2"
+# Higher levels and LLVM's vectoriser of loops take about a tenth longer to compile, and these kernels, loops
+# of scalars with branches, are no faster by it.
+_COMPILER = {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0"}
 
 
 def prepare(environment: MutableMapping[str, str]) -> None:
-    """Set the limits of threads, numba's level and its cache directory where `environment` names none.
+    """Set the limits of threads, numba's optimisation and its cache directory where `environment` names none.
 
     The directory is that of WAYSIDE_KERNEL_CACHE, else one in the user's cache directory, else, for a user
     without a home, a private temporary one.
     """
     for name in _THREAD_LIMITS:
         environment.setdefault(name, "1")
-    environment.setdefault("NUMBA_OPT", _OPTIMISATION_LEVEL)
+    for name, value in _COMPILER.items():
+        environment.setdefault(name, value)
     if environment.get("NUMBA_CACHE_DIR"):
         return
     named = environment.get("WAYSIDE_KERNEL_CACHE")

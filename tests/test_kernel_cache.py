@@ -11,22 +11,29 @@ from service import kernel_cache
 
 
 def test_the_users_own_settings_stay(tmp_path: Path):
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "OMP_NUM_THREADS": "4", "NUMBA_OPT": "1"}
+    environment = {
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "OMP_NUM_THREADS": "4",
+        "NUMBA_OPT": "3",
+        "NUMBA_LOOP_VECTORIZE": "1",
+    }
 
     kernel_cache.prepare(environment)
 
     assert environment["NUMBA_CACHE_DIR"] == str(tmp_path)
     assert environment["OMP_NUM_THREADS"] == "4"
     assert environment["OPENBLAS_NUM_THREADS"] == "1"
-    assert environment["NUMBA_OPT"] == "1"
+    assert environment["NUMBA_OPT"] == "3"
+    assert environment["NUMBA_LOOP_VECTORIZE"] == "1"
 
 
-def test_kernels_are_optimised_at_level_2_unless_told_otherwise(tmp_path: Path):
+def test_kernels_are_optimised_at_level_1_unless_told_otherwise(tmp_path: Path):
     environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
 
     kernel_cache.prepare(environment)
 
-    assert environment["NUMBA_OPT"] == "2"
+    assert environment["NUMBA_OPT"] == "1"
+    assert environment["NUMBA_LOOP_VECTORIZE"] == "0"
 
 
 def test_wayside_kernel_cache_names_the_directory(tmp_path: Path):
